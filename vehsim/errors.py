@@ -30,8 +30,8 @@ class Problem:
     severity: Literal["error", "warning", "fault"] = "error"
     """"fault" means an error of vehsim itself: the input may be right."""
     subject: str = ""
-    fix: bool | int | float | str | None = None
-    """A value of the key that would do, for programs that offer to set it; None if there is none."""
+    fixes: tuple[tuple[str, Any], ...] = ()
+    """Keys, each with a value, that would do together, for programs that offer to set them; none if none are known."""
 
     def __str__(self) -> str:
         warning = "warning: " if self.severity == "warning" else ""
@@ -49,12 +49,16 @@ class Problem:
             isinstance(self.value, float) and math.isfinite(self.value)
         )
         plain = self.value if is_json else _short(self.value)
-        kept = {name: value for name, value in fields.items() if value not in ("", None)}
+        kept = {name: value for name, value in fields.items() if value not in ("", None, ())}
         return kept | ({} if self.value is None else {"value": plain})
 
     def below(self, key: str, **changes: Any) -> Problem:
-        """This problem with its key below another: ``below("mark[0]")`` of ``hold`` is ``mark[0].hold``."""
-        return replace(self, key=f"{key}.{self.key}" if self.key else key, **changes)
+        """This problem with its keys below another: ``below("mark[0]")`` of ``hold`` is ``mark[0].hold``."""
+        return replace(self.fixed_below(key), key=f"{key}.{self.key}" if self.key else key, **changes)
+
+    def fixed_below(self, key: str) -> Problem:
+        """This problem with the keys of its fixes below another."""
+        return replace(self, fixes=tuple((f"{key}.{name}", value) for name, value in self.fixes))
 
     def seen_from(self, key: str, value: object = None, remedy: str = "") -> Problem:
         """This problem as seen from ``key``, which names the file in which it was found: its own place and key become

@@ -11,6 +11,8 @@ from tests.live.test_server import SHOT, browser, served, texts
 from vehsim import Shot
 from vehsim.errors import InputError
 from vehsim.live.document import Document
+from vehsim.live.messages import Fix
+from vehsim.live.session import Session
 from vehsim.live.settings import settings
 from vehsim.shot.cache import motion_key
 from vehsim.shot.schema.shot_file import parse
@@ -143,7 +145,49 @@ def test_notes_change_no_motion():
 def test_a_bound_comes_with_its_problem():
     data = tomllib.loads(SHOT.replace("segments = 8", "segments = 1\nclearance = 2000"))
     _, problems = parse(data)
-    assert {problem.key.rpartition(".")[2]: problem.fix for problem in problems} == {"segments": 2, "clearance": 1000}
+    fixes = dict(fix for problem in problems for fix in problem.fixes)
+    motion = "vehicle[0].motion"
+    assert fixes == {f"{motion}.segments": 2, f"{motion}.clearance": 1000}
+
+
+LAST = """\
+[[vehicle.motion.mark]]
+frame = 1080
+position = [12, 2, 0]
+"""
+
+
+def too_hurried(folder, text):
+    """The fixes of a session on a shot whose marks leave too little time, after they were applied: key -> frame."""
+    path = folder / "drive.toml"
+    path.write_text(text)
+    session = Session(path, folder, lambda *_: None)
+    session.solve()
+    (problem,) = [one for one in session.problems if "fixes" in one]
+    assert "earliest" in problem["text"] and not session.solved
+    session.fix(Fix(kind="fix", fixes=[list(fix) for fix in problem["fixes"]]))
+    marks = session.document.data["vehicle"][0]["motion"]["mark"]
+    for key, frame in problem["fixes"]:
+        assert marks[int(key.removesuffix("].frame")[-1])]["frame"] == frame
+    return session, dict(problem["fixes"])
+
+
+def test_later_marks_move_with_one_that_is_too_early(tmp_path):
+    """All is one step to undo."""
+    session, fixes = too_hurried(tmp_path, SHOT.replace("frame = 1073", "frame = 1019") + LAST)
+    assert list(fixes) == [f"vehicle[0].motion.mark[{k}].frame" for k in (1, 2)]
+    assert fixes["vehicle[0].motion.mark[2].frame"] - 1080 == fixes["vehicle[0].motion.mark[1].frame"] - 1019 > 0
+    assert session.solved
+    session.document.undo()
+    assert session.document.text == session.document.path.read_text()
+
+
+def test_the_frame_that_the_planner_found_is_offered(tmp_path):
+    """The check's bounds do not refuse this flight, but its actuators are too slow for it."""
+    text = SHOT.replace('"car"', '"helicopter"').replace("segments = 8", "segments = 16").replace("1073", "1121")
+    text = text.replace("[0, 0, 0]\nheading", "[0, 0, 30]\nheading").replace("[8, 1, 0]", "[60, 10, 30]")
+    _, fixes = too_hurried(tmp_path, text)
+    assert 1121 < fixes["vehicle[0].motion.mark[1].frame"] < 1145 and len(fixes) == 1
 
 
 def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
@@ -153,9 +197,12 @@ def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
     async def play():
         async with served(path) as address, browser(address) as page:
             state = await page.until("state", lambda message: message["problems"])
-            (problem,) = [one for one in state["problems"] if "fix" in one]
-            assert problem["key"] == "vehicle[0].motion.mark[1].frame" and problem["fix"] > 1010
-            await page.send(kind="change", key=problem["key"], value=problem["fix"])
+            (problem,) = [one for one in state["problems"] if "fixes" in one]
+            ((key, frame),) = problem["fixes"]
+            assert key == "vehicle[0].motion.mark[1].frame" and frame > 1010
+            await page.send(kind="fix", fixes=[[key, frame + 1]])
+            assert "not offered" in (await page.until("refused"))["text"]
+            await page.send(kind="fix", fixes=problem["fixes"])
             await page.until("scene")
             state = await page.until("state", lambda message: message["solved"])
             assert state["changed"] and state["handles"][1]["mark"] == 1
@@ -167,7 +214,7 @@ def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
                 await page.send(kind="change", key=key, value=value)
                 assert (await page.until("refused"))["text"]
 
-            middle = (1001 + problem["fix"]) // 2
+            middle = (1001 + frame) // 2
             await page.send(kind="add_mark", vehicle="car", frame=middle)
             await page.until("state", lambda message: message["solved"] and len(message["handles"]) == 3)
             for vehicle, frame in (("car", middle), ("boat", middle), ("car", 900)):

@@ -170,7 +170,8 @@ def problems_of(errors: Any, root: Mapping[str, Any]) -> Iterator[Problem]:
                 context = error.get("ctx", {})
                 text = str(context.get("error") or WORDS.get(kind, error["msg"]).format_map(context))
                 bound = context.get("le", context.get("ge"))
-                yield Problem(key, text[0].lower() + text[1:], f"give {description}", value, fix=bound)
+                fixes = () if bound is None else ((key, bound),)
+                yield Problem(key, text[0].lower() + text[1:], f"give {description}", value, fixes=fixes)
 
 
 def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], str, list[str]]:

@@ -48,6 +48,13 @@ class Change(_Message):
     value: bool | int | Coordinate | Annotated[str, Field(max_length=200)] | None
 
 
+class Fix(_Message):
+    """What a problem offers to set: keys and values, all in one step."""
+
+    kind: Literal["fix"]
+    fixes: Annotated[list[list[bool | int | Coordinate | Key]], Field(min_length=1, max_length=1000)]
+
+
 class AddMark(_Message):
     """A mark where a planned vehicle is at ``frame``."""
 
@@ -123,7 +130,7 @@ class MoveSticks(_Message):
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Edit = Change | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged | UseRecording
+Edit = Change | Fix | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged | UseRecording
 """What changes the file; the session has a method of each kind's name."""
 Message = Moved | Pressed | Edit | TakeControls | Compare | MoveSticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])

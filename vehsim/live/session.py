@@ -41,6 +41,7 @@ from vehsim.live.messages import (
     DeleteMark,
     DeleteNote,
     EditNote,
+    Fix,
     KeepDragged,
     Moved,
     TakeControls,
@@ -94,7 +95,7 @@ class Session:
         self.shot: Shot | None = None
         self.take: Take | None = None
         self.problems: list[dict[str, Any]] = []
-        """Errors and warnings for the page: ``text``; a ``key`` and the ``fix`` that would work if there is one;
+        """Errors and warnings for the page: ``text``; ``fixes``: keys and values that would work together;
         ``keeps``: the vehicle whose dragged motion can be kept."""
         self.settings: list[Setting] = []
         self.notes: list[dict[str, Any]] = []
@@ -334,17 +335,25 @@ class Session:
     # ------------------------------------------------------------ change
 
     def change(self, change: Change) -> bytes | None:
-        """Set a value of the file and `solve`: one of the ``settings``, or the fix of a problem."""
+        """Set one of the ``settings`` and `solve`."""
         setting = next((one for one in self.settings if one.key == change.key), None)
-        fixed = any(one.get("key") == change.key and one.get("fix") == change.value for one in self.problems)
-        if setting is None and not fixed:
+        if setting is None:
             raise InputError("cannot be changed here", "change it in the file", key=change.key)
-        if isinstance(change.value, str) and not (setting and change.value in setting.choices):
+        if isinstance(change.value, str) and change.value not in setting.choices:
             raise InputError("no such choice", key=change.key, value=change.value)
         value = change.value
-        if setting and setting.kind == "integer" and isinstance(value, float) and value.is_integer():
+        if setting.kind == "integer" and isinstance(value, float) and value.is_integer():
             value = int(value)
         self.document.put(change.key, value)
+        return self.solve()
+
+    def fix(self, wanted: Fix) -> bytes | None:
+        """Set what a problem offers as its fix, and `solve`."""
+        offered = [one.get("fixes", ()) for one in self.problems]
+        found = next((fixes for fixes in offered if [list(fix) for fix in fixes] == wanted.fixes), None)
+        if not found:
+            raise InputError("is not offered any more", "reload the page", key="fixes")
+        self.document.change(found)
         return self.solve()
 
     def add_mark(self, wanted: AddMark) -> bytes | None:
@@ -592,8 +601,7 @@ class Session:
 
 def _described(problem: Problem) -> dict[str, Any]:
     """A problem for the page."""
-    fix = {} if problem.fix is None else {"key": problem.key, "fix": problem.fix}
-    return {"text": str(problem), **fix}
+    return {"text": str(problem)} | ({"fixes": problem.fixes} if problem.fixes else {})
 
 
 def _apart(a: Clip, b: Clip) -> float:

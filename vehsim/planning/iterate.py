@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Self, TypeVar
 
 import numpy as np
@@ -28,6 +28,17 @@ B = TypeVar("B", bound=Block)
 
 NOT_RUN = Executed(np.inf, np.inf, np.inf)
 """The value of `Iterate.executed` before the controls are executed."""
+
+
+@dataclass(frozen=True)
+class Why:
+    """Why a plan failed, false if it is not known; ``frames``: of marks, by name, with which a motion was found."""
+
+    text: str = ""
+    frames: Mapping[str, int] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,7 @@ class Iterate(Trajectory):
     executed: Executed = NOT_RUN
     certificate: Certificate | None = None
     tightenings: int = 0
-    why: str = ""
+    why: Why = Why()
     """Why it was not solved."""
     remark: str = ""
     """In which way the plan differs from the request, for the message."""

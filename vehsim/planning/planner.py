@@ -140,6 +140,11 @@ class Plan:
         assert self._iterate is not None
         return self._iterate.request.traits.name
 
+    @property
+    def possible(self) -> dict[str, int]:
+        """Frames of marks, by name, with which a motion was found after this plan had failed; empty if none was."""
+        return {} if self._iterate is None else dict(self._iterate.why.frames)
+
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: fast if the marks fix the same quantities at other
         values."""
@@ -415,7 +420,7 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     if not once and (why := hurried(run, iterate)):
-        return _result(run, give_up(iterate, why), "refused")
+        return _result(run, give_up(replace(iterate, why=why), why.text), "refused")
     clearance = iterate.block(Clearance)
     if clearance is not None and clearance.squeezes(iterate):
         iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
@@ -494,7 +499,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
             worst = "all constraints are met, but the cost is not minimal yet; allow more iterations"
         else:
             worst += f"; {LONGER if solution.out_of_time else LOOSEN}"
-        message = iterate.why or f"{message}: {worst}"
+        message = iterate.why.text or f"{message}: {worst}"
     elif success and certificate.clearance < certificate.wanted - SLACK:
         success, reason = False, "clearance"
         message = (

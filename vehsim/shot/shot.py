@@ -359,7 +359,7 @@ class Shot:
         if world is None:
             return
         for problem in table.motion.check(vehicle, self._context):
-            yield replace(problem, key=f"vehicle[{i}].motion.{problem.key}")
+            yield problem.below(f"vehicle[{i}].motion")
         found = [*check_afloat(vehicle, world), *check_trailer(vehicle, world)]
         from vehsim.shot.motions.simulate import ForwardMotion
 
@@ -486,7 +486,8 @@ class Shot:
                 continue
             context = replace(self._context, world=world)
             vehicle = self.vehicle(table)
-            with naming(table.name, vehicle.name):
+            key = f"vehicle[{self.file.vehicle.index(table)}].motion"
+            with naming(table.name, vehicle.name, key):
                 clips[table.name], details = table.motion.solve(vehicle, context, told_as(table.name, progress, report))
             reports[table.name] = {"asset": table.asset, "method": table.motion.method, **details}
         order = [table.name for table in self.file.vehicle]

@@ -11,15 +11,16 @@ from vehsim.errors import Caution, Problem, VehsimError
 
 
 @contextmanager
-def naming(name: str, model: str) -> Iterator[None]:
-    """Give errors and warnings the subject ``name`` where they have none, or that of the vehicle's ``model``."""
+def naming(name: str, model: str, key: str = "") -> Iterator[None]:
+    """Give errors and warnings the subject ``name`` where they have none, or that of the vehicle's ``model``; keys of
+    errors' fixes are below ``key``."""
     caught: list[warnings.WarningMessage] = []
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield
     except VehsimError as error:
-        error.problems = [_named(problem, name, model) for problem in error.problems]
+        error.problems = [_named(problem.fixed_below(key), name, model) for problem in error.problems]
         raise
     finally:
         for w in caught:

@@ -77,14 +77,17 @@
   }
 
   function list(problems) {
-    element("problems").replaceChildren(...problems.map(({ text, key, fix, keeps }) => {
+    element("problems").replaceChildren(...problems.map(({ text, fixes, keeps }) => {
       const shown = Object.assign(document.createElement("p"), { textContent: text });
       const offer = (label, message) => {
         const button = Object.assign(document.createElement("button"), { textContent: label, className: "fix" });
         button.addEventListener("click", () => send(message));
         shown.append(" ", button);
       };
-      if (fix !== undefined) offer(`set ${key.split(".").pop()} = ${fix}`, { kind: "change", key, value: fix });
+      if (fixes) {
+        const [[key, value], ...others] = fixes, moves = others.length ? `, and ${others.length} more` : "";
+        offer(`set ${key.split(".").pop()} = ${value}${moves}`, { kind: "fix", fixes });
+      }
       if (keeps !== undefined) offer("save the dragged motion as guess", { kind: "keep_dragged", vehicle: keeps });
       return shown;
     }));

@@ -17,13 +17,12 @@ from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.explain.bounds import strength
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.explain.work import affordable
-from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.iterate import Iterate, Run, Why
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.solver import LOOSEN, Solution, Solver
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.character import NO_TRAITS
-from vehsim.planning.request.request import Request
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import Trajectory
 
@@ -73,17 +72,18 @@ class LooseTiming(Timing):
         upper[trajectory.layout.lengths] = np.where(varies, trajectory.lengths * 8, trajectory.lengths)
 
 
-def diagnose(run: Run, guess: Iterate) -> tuple[str, Array | None]:
-    """Explain why a plan failed: the message, and None; or an empty message and variables that meet all marks.
+def diagnose(run: Run, guess: Iterate) -> tuple[Why, Array | None]:
+    """Explain why a plan failed: the reason, and None; or an empty reason and variables that meet all marks.
 
-    The message names frames that are too early and possible ones, or the marks that are missed and by how much. It is
+    The reason names frames that are too early and possible ones, or the marks that are missed and by how much. It is
     empty, and the variables are None, if the relaxed problems are not solved either.
     """
     missed, x = _missed(run, guess)
     if x is not None and not missed:
-        return "", x
+        return Why(), x
     late = too_early(run, guess if x is None else replace(guess, x=x)) or _by_leg(run, guess)
-    return "; ".join(filter(None, (late, missed, LOOSEN if missed and not late else ""))), None
+    texts = filter(None, (late.text, missed, LOOSEN if missed and not late else ""))
+    return replace(late, text="; ".join(texts)), None
 
 
 def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:
@@ -114,7 +114,7 @@ def _loosened(blocks: Sequence[Block], price: float) -> list[Block]:
     return [LooseTiming(b.marks, b.fps, price=price) if isinstance(b, Timing) else b for b in blocks]
 
 
-def too_early(run: Run, near: Iterate) -> str:
+def too_early(run: Run, near: Iterate) -> Why:
     """The first mark that can only be met later, and when; empty if none is found.
 
     ``near``: a motion that misses marks.
@@ -122,11 +122,11 @@ def too_early(run: Run, near: Iterate) -> str:
     request, layout = near.request, near.layout
     held = np.array([mark.hold > 0 for mark in request.marks[:-1]])
     if not np.any(~near.timing.free & ~held):
-        return ""
+        return Why()
     blocks = _loosened(near.blocks, PRICE)
     answer = _solved(run, near, assemble(near.transcription, layout, blocks), blocks)
     if not (answer.success or answer.violation < NOTHING):
-        return ""
+        return Why()
     durations = answer.x[layout.lengths] * np.array(layout.legs)
     arrivals: Array = np.cumsum(durations) * float(request.fps) + int(request.marks[0].frame)
     late = {
@@ -134,10 +134,10 @@ def too_early(run: Run, near: Iterate) -> str:
         for i, (mark, frame) in enumerate(zip(request.marks[1:], arrivals, strict=True), 1)
         if mark.given_frame is not None and frame > int(mark.given_frame) + NOTHING * float(request.fps)
     }
-    return _earliest(run, near, min(late), late) if late else ""
+    return _earliest(run, near, min(late), late) if late else Why()
 
 
-def hurried(run: Run, guess: Iterate) -> str:
+def hurried(run: Run, guess: Iterate) -> Why:
     """Why a flight cannot be flown in a time of the order of what its strength needs; empty if nothing is found.
 
     Its rotors must tilt, speed up and slow down first, and it must land gently: the least time for one leg says so
@@ -146,7 +146,7 @@ def hurried(run: Run, guess: Iterate) -> str:
     request, marks = guess.request, guess.request.marks
     push = strength(request.vehicle)
     if request.vehicle.group.dim != 6 or not math.isfinite(push):
-        return ""
+        return Why()
     for i, (here, there) in enumerate(pairwise(marks)):
         known = here.given_frame is not None and there.given_frame is not None
         if not (known and here.at_rest and there.at_rest) or here.hold or run.deadline.late:
@@ -160,7 +160,7 @@ def hurried(run: Run, guess: Iterate) -> str:
             if found is not None and found[0] > int(there.frame):
                 any_motion = replace(request, traits=NO_TRAITS)
                 return too_early(run, begin(run, any_motion, guess.transcription, guess.cover, guess.paths))
-    return ""
+    return Why()
 
 
 def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
@@ -174,7 +174,7 @@ def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
     return solve(other, iterate).success
 
 
-def _by_leg(run: Run, guess: Iterate) -> str:
+def _by_leg(run: Run, guess: Iterate) -> Why:
     """The first mark that is too early for its own leg."""
     request, marks = guess.request, guess.request.marks
     known = [i for i, mark in enumerate(marks) if mark.given_frame is not None]
@@ -188,11 +188,11 @@ def _by_leg(run: Run, guess: Iterate) -> str:
             frame = found[0]
             later = {k: int(marks[k].frame) + frame - here for k in known if k >= j}
             return _earliest(run, guess, j, later)
-    return ""
+    return Why()
 
 
-def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> str:
-    """The message that mark ``i`` is too early, and the first frame for which a plan is found.
+def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> Why:
+    """The reason that mark ``i`` is too early, and the first frame for which a plan is found.
 
     The marks from ``i`` on are tried at ``frames``, or a little later.
     """
@@ -200,21 +200,21 @@ def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> str:
     if any(term.frames is not None for term in request.terms):  # ranges of frames cannot move
         own = marks[i].place >= 0
         where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"{marks[i].name} (an end of a range of frames)"
-        return f"{where} is too early; it takes until {frames[i]} at least"
+        return Why(f"{where} is too early; it takes until {frames[i]} at least")
     first, early = int(marks[0].frame), f"{marks[i].name}.frame = {marks[i].frame} is too early"
     for margin in SLACKS:
         later = {k: math.ceil(frame + margin * (frame - first) - 1e-3) for k, frame in frames.items()}
         if not run.deadline.late and _is_met(run, guess, later):
-            return f"{early}; earliest {later[i]}{_then(request, i, later)}"
-    return f"{early}; it takes until {frames[i]} at least"
+            at = dict[str, int]()
+            for k, frame in later.items():  # a mark with a hold is two
+                at.setdefault(marks[k].name, frame)
+            return Why(f"{early}; earliest {later[i]}{_then([f'{name}.frame = {at[name]}' for name in at][1:])}", at)
+    return Why(f"{early}; it takes until {frames[i]} at least")
 
 
-def _then(request: Request, i: int, frames: dict[int, int]) -> str:
+def _then(others: Sequence[str]) -> str:
     """The frames of the marks that have to move with the late one."""
-    place = request.marks[i].place
-    moved = {request.marks[k].name: frame for k, frame in frames.items() if k > i and request.marks[k].place > place}
-    named = [f"{name}.frame = {frame}" for name, frame in list(moved.items())[:3]]
-    return "" if not named else f", then {', '.join(named)}{' ...' if len(moved) > 3 else ''}"
+    return "" if not others else f", then {', '.join(others[:3])}{' ...' if len(others) > 3 else ''}"
 
 
 def _solved(run: Run, start: Iterate, problem: NonlinearProgram, blocks: Sequence[Block]) -> Solution:

@@ -38,13 +38,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a mark cannot be met: its ``key``, the message, the remedy, and a value that would do, if there is one."""
+    """Why a mark cannot be met: its ``key``, the message, the remedy, and keys with values that would do together."""
 
     mark: Mark
     key: str
     message: str
     remedy: str
-    fix: float | None = None
+    fixes: tuple[tuple[str, float], ...] = ()
 
     def __str__(self) -> str:
         return f"{self.mark.name}.{self.key}: {self.message}; {self.remedy}"
@@ -71,8 +71,8 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
     if speed is not None and speed > top:
         key = "speed" if mark.velocity is None else "velocity"
         message = f"{speed:.3g} m/s, {request.speed_limit()}"
-        fix = top if key == "speed" else None
-        found.append(Refusal(mark, key, message, f"use at most {top:g} m/s, or raise it", fix))
+        fixes = ((f"{mark.name}.speed", top),) if key == "speed" else ()
+        found.append(Refusal(mark, key, message, f"use at most {top:g} m/s, or raise it", fixes))
     ceiling = limits.get("ceiling")
     if mark.position is not None and mark.position[2] - mark.tolerance > ceiling and request.vehicle.group.dim == 6:
         message = f"{mark.position[2]:g} m high, ceiling {ceiling:g}"
@@ -137,7 +137,7 @@ def _looks_elsewhere(mark: Mark, term: Constraint) -> list[Refusal]:
     wanted = (wanted + 180) % 360 - 180
     remedy = f"give heading = {wanted:.3g}, or leave it free"
     message = f"{off:.3g} degrees off the direction that {term.name!r} requires"
-    return [Refusal(mark, "heading", message, remedy, round(wanted, 1))]
+    return [Refusal(mark, "heading", message, remedy, ((f"{mark.name}.heading", round(wanted, 1)),))]
 
 
 def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
@@ -181,7 +181,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
             reasons.append((f"{turn / seconds:.3g} deg/s, limit {rate:.3g}", turn / rate))
     if not reasons:
         return [], 0
-    least, later, at = max(least for _, least in reasons), 0, None
+    least, later, fixes = max(least for _, least in reasons), 0, dict[str, float]()
     if math.isinf(least):
         remedy = "move it nearer"
     else:
@@ -193,11 +193,15 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         world = request.world
         blocked = world is not None and bool(request.hazards or world.obstacles)
         at = last + delay + later
+        for mark in request.marks[j:]:
+            if mark.given_frame is not None and mark.place >= 0:
+                fixes.setdefault(f"{mark.name}.frame", int(mark.given_frame) + delay + later)
         remedy = f"earliest {at}" if first_of_all else f"use {at}"
         remedy = f"not before {at}" if found is None or blocked else remedy
         if any(mark.given_frame is not None and mark.place > b.place for mark in request.marks):
             remedy += f", with all later marks moved by {delay + later} frames"
-    return [Refusal(b, "frame", f"{frames} need {message}", remedy, at) for message, _ in reasons], later
+    offer = tuple(fixes.items())
+    return [Refusal(b, "frame", f"{frames} need {message}", remedy, offer) for message, _ in reasons], later
 
 
 def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple[str, float]]:

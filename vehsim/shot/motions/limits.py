@@ -153,4 +153,4 @@ def check_request(
     for refusal in refusals(request):
         value = getattr(refusal.mark, refusal.key)
         key = f"{refusal.mark.name}.{refusal.key}"
-        yield Problem(key, refusal.message, refusal.remedy, value, fix=refusal.fix)
+        yield Problem(key, refusal.message, refusal.remedy, value, fixes=refusal.fixes)

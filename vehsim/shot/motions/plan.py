@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -186,7 +186,10 @@ class PlanMotion(Table):
                 **self.options(),
             )
         if not result.success:
-            raise SolveError(f"no plan was found: {result.message}", reason=result.reason, subject=vehicle.name)
+            error = SolveError(f"no plan was found: {result.message}", reason=result.reason, subject=vehicle.name)
+            fixes = tuple((f"{name}.frame", frame) for name, frame in result.possible.items())
+            error.problems = [replace(error.problem, fixes=fixes)]
+            raise error
         # the duration of the solve is omitted: the same shot gives the same report
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance", "character")
         report = {name: getattr(result, name) for name in names} | {"executed": asdict(result.executed)}
