@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export MUJOCO_GL ?= egl
 
-.PHONY: help setup demo check test test-pythons measure-tests blender extension docs assets page lock clean bench-export bench-integrators bench-order bench-planning bench-live bench-unseen bench-collocation bench-growth audit-random hostile-files
+.PHONY: help setup demo check test test-pythons measure-tests blender extension docs assets page lock clean bench-export bench-integrators bench-order bench-planning bench-live bench-unseen bench-collocation bench-growth bench-peers audit-random hostile-files
 
 help:
 	@echo "make demo               export examples/canyon_flight.toml to out/: a USD shot, frames and a film"
@@ -23,6 +23,7 @@ help:
 	@echo "make bench-live         drag marks of live sessions through the protocol; writes RESULTS.live.md"
 	@echo "make bench-unseen       plan 1,600 random problems: the share certified, and why the others failed (hours; resumes)"
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
+	@echo "make bench-peers        plan beside Drake and CasADi; writes RESULTS.peers.md (three minutes)"
 	@echo "make bench-growth       measure how CPU time and memory grow with frames, clips, vehicles, segments and obstacles"
 	@echo "make bench-export       compare baking, pictures and batches with alternatives (ten minutes)"
 	@echo "make audit-random       export a thousand random shots and measure them from USD alone (hours; resumes)"
@@ -98,6 +99,10 @@ bench-unseen: setup
 
 bench-collocation: setup
 	$(BIN)/python -m benchmarks.collocation
+
+bench-peers: setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'drake>=1.40,<2'
+	$(BIN)/python -m benchmarks.peers
 
 bench-growth: setup
 	$(BIN)/python -m benchmarks.growth

@@ -58,3 +58,12 @@ def test_collocation_lets_quaternions_drift_and_dmoc_does_not():
     }
     assert drift["dmoc"] < 1e-8
     assert drift["trapezoidal"] > 1e-4 and drift["hermite-simpson"] > 1e-7, drift
+
+
+def test_a_program_written_by_hand_has_the_same_optimum():
+    """Hermite-Simpson in CasADi alone, from the continuous equations, in other coordinates and from another guess."""
+    peers = load(ROOT / "benchmarks" / "peers.py")
+    for problem in (peers.PROBLEMS["car"](), peers.PROBLEMS["quadrotor"]()):
+        ours, theirs = peers.ours_once(problem), peers.casadi_simpson(problem)
+        assert np.isclose(ours.cost, theirs.cost, rtol=1e-5)
+        assert ours.executed < 1.1 * theirs.executed
