@@ -156,17 +156,16 @@ def test_a_note_is_written_pinned_and_deleted(tmp_path):
     async def play():
         async with opened(path) as page:
             await page.value("vehsim.viewer.seek(1030); document.getElementById('do-note').click()")
-            await page.until("document.querySelectorAll('#notes textarea').length === 1")
-            assert await page.value("document.activeElement.value") == "note"  # selected, to be written over
+            await page.until("document.activeElement.value === 'note'")  # selected, to be written over
+            await page.until(SOLVED)
             await page.value("document.activeElement.value = 'brake <b>'; document.activeElement.blur()")
             await page.value("document.querySelector('#notes textarea').dispatchEvent(new Event('change'))")
             await page.until("document.getElementById('note').textContent === 'brake <b>'")
-            assert not await page.value("document.getElementById('note').hidden")
-            await page.value("vehsim.viewer.seek(1029); vehsim.viewer.draw()")
-            assert await page.value("document.getElementById('note').hidden")
+            await page.until(f"!document.getElementById('note').hidden && {SOLVED}")
+            await page.value("vehsim.viewer.seek(1029)")
+            await page.until("document.getElementById('note').hidden")
             await page.key(".", "Period")
-            assert await page.value("vehsim.viewer.frame") == 1030
-            await page.until(SOLVED)
+            await page.until("vehsim.viewer.frame === 1030")
             await page.value("document.querySelector('#notes .pin').click()")
             await page.until("document.getElementById('note').className === 'at'")
             await page.until("vehsim.live.grips.some((grip) => grip.handle.key === 'note[0].position')")
