@@ -25,7 +25,6 @@ from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.constraints.clearance import SLACK, Clearance, SphereCover, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
-from vehsim.planning.explain.elastic import hurried
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.fallbacks import (
     enough_segments,
@@ -419,8 +418,6 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if refused or run.deadline.hopeless:
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
-    if not once and (why := hurried(run, iterate)):
-        return _result(run, give_up(replace(iterate, why=why), why.text), "refused")
     clearance = iterate.block(Clearance)
     if clearance is not None and clearance.squeezes(iterate):
         iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))

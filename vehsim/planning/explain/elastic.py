@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from vehsim.planning.constraints.block import Block, assemble, parameter_values, variable_bounds
 from vehsim.planning.constraints.mark_constraints import MarkConstraint
 from vehsim.planning.constraints.timing import Timing
-from vehsim.planning.explain.bounds import strength
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.explain.work import affordable
 from vehsim.planning.iterate import Iterate, Run, Why
@@ -22,7 +21,6 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.solver import LOOSEN, Solution, Solver
 from vehsim.planning.problem.transcription import Transcription
-from vehsim.planning.request.character import NO_TRAITS
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import Trajectory
 
@@ -34,9 +32,6 @@ ITERATIONS = 200
 """Maximum number of iterations for each relaxed problem."""
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Shares of the time since the first mark that are added until a plan at whole frames is found."""
-HURRY = 2.2
-"""A flight from rest to rest in less than so many times what its strength alone needs is checked before it is
-solved: light helicopters need 1.8 to 2.3 times."""
 NOTHING = 1e-3
 """Misses and delays below this count as zero, in m and s."""
 
@@ -135,32 +130,6 @@ def too_early(run: Run, near: Iterate) -> Why:
         if mark.given_frame is not None and frame > int(mark.given_frame) + NOTHING * float(request.fps)
     }
     return _earliest(run, near, min(late), late) if late else Why()
-
-
-def hurried(run: Run, guess: Iterate) -> Why:
-    """Why a flight cannot be flown in a time of the order of what its strength needs; empty if nothing is found.
-
-    Its rotors must tilt, speed up and slow down first, and it must land gently: the least time for one leg says so
-    sooner than a solve that fails.
-    """
-    request, marks = guess.request, guess.request.marks
-    push = strength(request.vehicle)
-    if request.vehicle.group.dim != 6 or not math.isfinite(push):
-        return Why()
-    for i, (here, there) in enumerate(pairwise(marks)):
-        known = here.given_frame is not None and there.given_frame is not None
-        if not (known and here.at_rest and there.at_rest) or here.hold or run.deadline.late:
-            continue
-        if here.position is None or there.position is None:
-            continue
-        seconds = (int(there.frame) - int(here.frame)) / float(request.fps)
-        least = 2 * math.sqrt(math.dist(here.position, there.position) / push)
-        if seconds < HURRY * least:
-            found = first_frame(request, i, i + 1, int(there.frame))
-            if found is not None and found[0] > int(there.frame):
-                any_motion = replace(request, traits=NO_TRAITS)
-                return too_early(run, begin(run, any_motion, guess.transcription, guess.cover, guess.paths))
-    return Why()
 
 
 def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
