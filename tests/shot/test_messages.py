@@ -43,6 +43,7 @@ grids = "a.npz"
 current = [0, 0, 0]
 current_depth = 1
 vortex = [{ centre = [0, 0], speed = 1, radius = 1 }]
+mole = [{ line = [[0, 0], [1, 0]] }]
 height_field = 0.1
 [[world.obstacle]]
 shape = "polygon"
