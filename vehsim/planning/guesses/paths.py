@@ -38,8 +38,8 @@ def along_paths(
     """Variables (size,) of a motion along ``paths`` (one per leg), level, at trim controls.
 
     A path is a polyline (k, 3) m, of poses (k, 4) with headings in rad, or of poses with shares of the leg's duration
-    (k, 5). ``aims``: (first knot, last knot, point (3,)
-    m, angle rad): between these knots the vehicle heads for the point, plus the angle to the right.
+    (k, 5). ``aims``: (first knot, last knot, point (3,) m, angle rad): between these knots the vehicle heads for the
+    point, plus the angle to the right.
     """
     fraction, leg = _knot_fractions(layout)
     pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
