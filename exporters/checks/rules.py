@@ -6,13 +6,16 @@ A rule is a function of the composed stage that yields issues. `validate.py` run
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.intake.usd import DRAWN, key_times
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -102,11 +105,13 @@ def _backward_spins(stage: Any) -> Iterator[Issue]:
         if len(times) < 3:
             continue
         if name.startswith(("xformOp:rotateX", "xformOp:rotateY", "xformOp:rotateZ")) and len(name.split(":")[1]) == 7:
-            steps = np.diff([float(attribute.Get(time)) for time in times])
+            values = np.array([float(attribute.Get(time)) for time in times])
+            steps = np.diff(values)
             signs = np.sign(steps * np.median(steps))
             # a wrapped angle jumps back between forward steps; a reversed propeller continues to turn back
             alone = np.concatenate([[1], signs[:-1]]) + np.concatenate([signs[1:], [1]]) > 0
-            back = np.flatnonzero((np.abs(steps) > 180) & (signs < 0) & alone)
+            jumps = np.flatnonzero((np.abs(steps) > 180) & (signs < 0) & alone)
+            back = np.union1d(jumps, _wrapped_steps(times, values))
             if len(back):
                 message = f"turns back by {abs(steps[back[0]]):.4g} degrees after time code {times[back[0]]:g}"
                 remedy = "unwrap its angles: let them continue beyond 360"
@@ -119,6 +124,20 @@ def _backward_spins(stage: Any) -> Iterator[Issue]:
                 message = f"turns {turns[fast[0]]:.0f} degrees from time code {times[fast[0]]:g} to the next"
                 remedy = "spin by a scalar rotate op with running degrees: slerp goes the short way round"
                 yield Issue("warning", "spin", str(attribute.GetPath()), message, remedy)
+
+
+def _wrapped_steps(times: Sequence[float], values: Array) -> NDArray[np.intp]:
+    """The steps (k,) between angles (n,), degrees, that turn back only because the angles stay within one turn: with
+    whole turns added to them, the rate changes less than half as much. ``times`` (n,); not equally spaced: none."""
+    steps, none = np.diff(values), np.zeros(0, np.intp)
+    if np.ptp(values) > 360 or np.ptp(np.diff(times)) > 1e-6:
+        return none
+    full = steps.copy()
+    for k in range(1, len(full)):
+        full[k] += 360 * np.round((full[k - 1] - full[k]) / 360)
+    wrapped = np.flatnonzero(np.abs(full - steps) > 180)
+    smoother = 2 * np.abs(np.diff(full)).sum() < np.abs(np.diff(steps)).sum()
+    return wrapped if smoother and len(wrapped) > 1 else none
 
 
 def _invertible(stage: Any) -> Iterator[Issue]:

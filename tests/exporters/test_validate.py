@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from vehsim.exporters.checks.validate import Issue, issues_of, validate_stage
@@ -111,6 +112,40 @@ def test_a_wrapped_angle_and_a_slerped_spin_are_found(tmp_path):
     stage.Save()
     found = {issue.site.partition(".")[0] for issue in validate_stage(tmp_path / "wheels.usda") if issue.rule == "spin"}
     assert found == {"/wrapped", "/slerped"}
+
+
+def turning(*rates):
+    """Angles of a part that turns at each rate, degrees per frame, for a number of frames."""
+    return np.cumsum(np.concatenate([np.full(frames, float(rate)) for rate, frames in rates]))
+
+
+def wrapped(angles, low=0.0):
+    return (angles - low) % 360.0 + low
+
+
+@pytest.mark.parametrize(
+    ("angles", "found"),
+    [
+        (wrapped(turning((0, 21), (250, 10))), True),  # it stands for most frames
+        (wrapped(turning((0, 21), (-250, 10)), -180.0), True),
+        (wrapped(turning((20, 9), (220, 6))), True),  # steps back of 140 degrees
+        (wrapped(turning((200, 2), (190, 1), (170, 1), (140, 1), (100, 1), (60, 1), (10, 1), (0, 9)), -180.0), True),
+        (turning((0, 21), (250, 10)), False),
+        (20 + 60 * np.sin(1.3 * np.arange(60)), False),  # a flap that swings by up to 73 degrees per frame
+        (np.tile([0.0, 100.0], 20), False),
+        (35 * np.sin(0.2 * np.arange(60)), False),
+        (np.array([0.0, 170.0, 0.0, 10.0, 20.0]), False),
+    ],
+)
+def test_a_wheel_that_wraps_while_it_speeds_up_is_found(tmp_path, angles, found):
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "wheel.usda"))
+    op = UsdGeom.Xform.Define(stage, "/wheel").AddRotateXOp()
+    for time, angle in enumerate(angles.tolist()):
+        op.Set(angle, time)
+    stage.Save()
+    assert ("spin" in {issue.rule for issue in validate_stage(tmp_path / "wheel.usda")}) is found
 
 
 @pytest.mark.parametrize(
