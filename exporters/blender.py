@@ -47,6 +47,8 @@ APART = math.radians(30.0)
 """Largest rotation between two samples of Alembic."""
 TURN = math.radians(5.0)
 """Largest rotation between two quaternion keys: Blender interpolates their components linearly."""
+MERGED = 0.01
+"""Keys closer than this, in frames, become one in Blender."""
 
 
 def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
@@ -276,12 +278,14 @@ def _author_lens(found: Any, prim: Any) -> None:
 
 @dataclass
 class _Key:
-    """A key: its handles are at (time, value) ``before`` and ``after`` it; without them, a straight line follows."""
+    """A key: its handles are at (time, value) ``before`` and ``after`` it; without them, a straight line follows, or
+    the value is ``held`` until the next key."""
 
     time: float
     value: float
     before: tuple[float, float] | None = None
     after: tuple[float, float] | None = None
+    held: bool = False
 
 
 def _keys(attribute: Any, component: int | None, factor: float = 1.0) -> list[_Key]:
@@ -296,19 +300,44 @@ def _keys(attribute: Any, component: int | None, factor: float = 1.0) -> list[_K
             (-knot.GetPreTanWidth(), knot.GetPreTanSlope()),
             (knot.GetPostTanWidth(), knot.GetPostTanSlope()),
         )
-        keys.append(_Key(time, value, *((time + width, value + factor * slope * width) for width, slope in tangents)))
+        before, after = ((time + width, value + factor * slope * width) for width, slope in tangents)
+        keys.append(_Key(time, value, before, after))
     return keys
+
+
+def _apart(keys: Sequence[_Key]) -> list[_Key]:
+    """The keys without those that Blender would merge: a jump, as in a cut, becomes a held key and the one after it."""
+    groups: list[list[_Key]] = []
+    for key in keys:
+        if groups and key.time - groups[-1][0].time < MERGED:
+            groups[-1].append(key)
+        else:
+            groups.append([key])
+    apart: list[_Key] = []
+    for first, *_, last in ([group[0], *group] for group in groups):
+        if first is not last:
+            time, value = last.time - 2 * MERGED, first.value
+            while apart and apart[-1].time > time - MERGED:
+                apart.pop()
+            if apart:  # on the straight line that ends at the jump
+                early = apart[-1]
+                value = early.value + (time - early.time) / (first.time - early.time) * (value - early.value)
+            apart.append(_Key(time, value, held=True))
+        apart.append(last)
+    return apart
 
 
 def _curve(found: Any, path: str, index: int, keys: Sequence[_Key]) -> None:
     """One native curve with these keys."""
+    smooth = keys[0].after is not None
+    keys = keys if smooth else _apart(keys)
     found.keyframe_insert(path, index=-1 if path == "lens" else index, frame=keys[0].time)
     (curve,) = [each for each in _curves(found) if each.data_path == path and each.array_index == index]
-    points, smooth = curve.keyframe_points, keys[0].after is not None
+    points = curve.keyframe_points
     points.add(len(keys) - len(points))
     points.foreach_set("co", [x for key in keys for x in (key.time, key.value)])
-    for point in points:
-        point.interpolation = "BEZIER" if smooth else "LINEAR"
+    for point, key in zip(points, keys, strict=True):
+        point.interpolation = "CONSTANT" if key.held else "BEZIER" if smooth else "LINEAR"
         point.handle_left_type = point.handle_right_type = "FREE" if smooth else "VECTOR"
     if smooth:
         points.foreach_set("handle_left", [x for key in keys for x in key.before or ()])
@@ -492,6 +521,9 @@ def alembic(scene: Any, path: str | Path) -> None:
     changes = (abs(c.evaluate(f + 1) - c.evaluate(f)) * (1 + ("quat" in c.data_path)) for c in turning for f in frames)
     fastest = max(changes, default=0.0)
     count = min(2 ** math.ceil(math.log2(max(fastest / APART, 1.0))), FINEST)
+    points = (point for found in moving for curve in _curves(found) for point in curve.keyframe_points)
+    if any(point.interpolation == "CONSTANT" for point in points):  # a cut takes as long as one sample
+        count = FINEST
     span = {"start": scene.frame_start, "end": scene.frame_end, "xsamples": count}
     bpy.ops.wm.alembic_export(filepath=str(Path(path).resolve()), **span)
 

@@ -52,6 +52,12 @@ print("SAYS" + json.dumps([found, about]))
 OPEN_BLEND = "bpy.ops.wm.open_mainfile(filepath={path!r})\nscene = bpy.context.scene"
 RANGE = "about = scene.render.fps / scene.render.fps_base, scene.frame_start, scene.frame_end"
 NAMES = {"toy0": "/shot/vehicles/toy0", "rotor": "/shot/vehicles/toy0/rotor", "chase": "/shot/cameras/chase"}
+OPEN_ALEMBIC = """
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+scene.render.fps = 24
+bpy.ops.wm.alembic_import(filepath={path!r}, as_background_job=False)
+"""
 TIMES = [1001.0, 1001.5, 1010.0, 1012.5, 1024.0]
 
 
@@ -176,12 +182,7 @@ def test_alembic_follows_the_clip_at_eighths_of_a_frame(tmp_path, toys, make_tak
     write_usd(take, tmp_path, toys.silent)
     (path,) = blender.write_alembic(take, tmp_path, toys.silent)
     first, last = 1001, 1010
-    opening = f"""
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
-scene.render.fps = 24
-bpy.ops.wm.alembic_import(filepath={str(path)!r}, as_background_job=False)
-"""
+    opening = OPEN_ALEMBIC.format(path=str(path))
     found, _ = matrices(opening, ["toy0", "wheel_rr", "chase"], eighths(first, last))
     at = clip.at(np.arange((last - first) * 8 + 1) / 192)
     poses = at.matrices()
@@ -212,6 +213,17 @@ def test_a_blend_has_the_cuts_of_the_shot(tmp_path, toys, make_take):
     assert about["camera"] == "chase", "the marker of the first piece switches it"
     assert about["markers"] == [[1001, "chase"], [1012, "wide"]]
     assert about["lens"] == [35.0, 35.0, 20.0, 20.0] and about["blur"][0] is False
+    # the camera "cut" stays with its first piece until it jumps, half a frame before the cut
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(tmp_path / "shot.usda"))
+    prim = stage.GetPrimAtPath("/shot/cameras/cut")
+    times = eighths(1010, 1013)
+    wanted = np.array([np.array(UsdGeom.XformCache(t).GetLocalToWorldTransform(prim)).T for t in times])
+    blender.write_alembic(take, tmp_path, toys.silent)
+    for reading, file in ((OPEN_BLEND, "shot.blend"), (OPEN_ALEMBIC, "shot.abc")):
+        found, _ = matrices(reading.format(path=str(tmp_path / file)), ["cut"], times)
+        assert np.abs(found["cut"] - wanted).max() < 1e-3, file
 
 
 @needs_blender
