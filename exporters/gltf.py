@@ -41,7 +41,7 @@ FLOAT, ARRAYS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 def write_glb(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``<shot>.glb``: metres, Y up, times in seconds from the first frame; returns the file.
 
-    Warns of what glTF cannot hold: water, and cameras that change their lens.
+    Warns of what glTF cannot hold: water, tyre marks, and cameras that change their lens.
     """
     from vehsim.exporters.usd.stage import StageReader
 
@@ -49,6 +49,8 @@ def write_glb(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     stage = StageReader(folder / f"{take.name}.usda")
     if stage.water is not None:
         warnings.warn(f"{take.name}.glb: the water is left out; glTF has no surface that changes", stacklevel=2)
+    if stage.tyre_marks:
+        warnings.warn(f"{take.name}.glb: tyre marks are left out; glTF has no surface that changes", stacklevel=2)
     frames = take.frames[0] + np.arange((take.frames[1] - take.frames[0]) * FINEST + 1) / FINEST
     poses = [stage.matrices(frame) for frame in frames.tolist()]
     worlds = {group: np.stack([pose[group] for pose in poses]) for group in stage.groups}

@@ -6,7 +6,7 @@ This module draws; `render.py` decides what to draw, and from where.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from vehsim.errors import ExportError
 from vehsim.exporters.pictures.backdrop import Backdrop
+from vehsim.exporters.pictures.tyre_marks import draw_tyre_marks
 from vehsim.exporters.pictures.water import WaterView
+from vehsim.exporters.usd.stage import Ribbon
 
 Picture = NDArray[np.uint8]
 
@@ -85,10 +87,14 @@ class Canvas:
         self._gl.make_current()
         water.draw(self._model, data, self._context, frame, self.scene.camera[0], height)
 
-    def picture(self, size: tuple[int, int], shadows: bool) -> Picture:
-        """Colour (h, w, 3) of everything in haze, with the sky behind it, from the bottom row up; ``size`` (w, h)."""
+    def picture(
+        self, size: tuple[int, int], shadows: bool, marks: Sequence[Ribbon], haze: tuple[float, float]
+    ) -> Picture:
+        """Colour (h, w, 3) of everything in haze, with the sky behind it, from the bottom row up; ``size`` (w, h);
+        tyre ``marks`` on the ground; ``haze``: where it begins and ends, m."""
         self._draw(self.scene, size, SHADOW=shadows, FOG=True)
         self._backdrop.draw_sky(self.scene.camera[0])
+        draw_tyre_marks(marks, np.asarray(self.scene.camera[0].pos, float), haze)
         self._backdrop.draw_glass(self.glass)
         return self._colour(size)
 

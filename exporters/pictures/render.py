@@ -98,7 +98,8 @@ class StageRenderer:
         canvas, side = self._canvas, self._supersample
         if self._water is not None:
             canvas.draw_water(self._water, self._data, frame, self.size[1])
-        colour = canvas.picture(self._size, self._shadows)
+        marks = self.stage.tyre_marks_at(frame)
+        colour = canvas.picture(self._size, self._shadows, marks, (HAZE[0], self._haze_end))
         if side == 1 and not self._detailed and self._water is None:
             return np.ascontiguousarray(colour[::-1])
         depth = canvas.depth(self._size)

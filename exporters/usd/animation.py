@@ -24,6 +24,7 @@ from vehsim.exporters.usd.metadata import Z_UP_METRES, Units, author_stage_metad
 from vehsim.exporters.usd.packing import Pack
 from vehsim.exporters.usd.rotors import author_rotors
 from vehsim.exporters.usd.sampling import PLACE, TURN, Shutter, clip_at, fewest_together
+from vehsim.exporters.usd.tyres import author_tyres
 from vehsim.rig.ops import drive_op as drive_op
 from vehsim.rig.ops import (
     driven_prim,
@@ -131,6 +132,7 @@ def write_animation(
             if below:
                 _author_order(spec, ops.orders[below])
         author_rotors(root, rig)
+        author_tyres(root, *_on_whole_frames(clip, frames))
         for below in ops.freed:
             spec = Sdf.CreatePrimInLayer(layer, root.path.AppendPath(below)) if below else root
             spec.instanceable = False
@@ -138,6 +140,12 @@ def write_animation(
     with quiet() if curves is not None else nullcontext():
         layer.Save()
     return path
+
+
+def _on_whole_frames(clip: Clip, frames: tuple[int, int]) -> tuple[Clip, Array]:
+    """The clip on the whole frames that it shares with the delivery, and these frames (n,)."""
+    whole = np.arange(max(frames[0], clip.start_frame), min(frames[1], clip.end_frame) + 1, dtype=float)
+    return clip_at(clip, whole), whole
 
 
 def _keep_root_in_blender(layer: Any, rig: Rig) -> None:
@@ -198,10 +206,8 @@ class _Motion:
         self, clip: Clip, name: str, frames: tuple[int, int], shutter: tuple[float, float] | None, thin: float | None
     ) -> None:
         self.clip, self.name = clip, name
-        first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
-        self.whole = np.arange(first, last + 1, dtype=float)
-        self.on_whole = clip_at(clip, self.whole)
-        self.shutter = None if shutter is None else Shutter(clip, shutter, (first, last))
+        self.on_whole, self.whole = _on_whole_frames(clip, frames)
+        self.shutter = None if shutter is None else Shutter(clip, shutter, (int(self.whole[0]), int(self.whole[-1])))
         self.reach = _reaches(clip.vehicle.rig) if shutter is not None or thin is not None else {}
         self.few = (
             {} if thin is None else fewest_together(self.whole, self.on_whole, clip.vehicle.rig, self.reach, thin)

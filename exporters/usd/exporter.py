@@ -36,6 +36,7 @@ from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.guides import author_guides
 from vehsim.exporters.usd.scenery.lighting import author_lights
 from vehsim.exporters.usd.scenery.obstacle_meshes import author_obstacles
+from vehsim.exporters.usd.scenery.tyre_marks import author_tyre_marks
 from vehsim.exporters.usd.scenery.water import write_water
 from vehsim.exporters.usd.value_clips import split_into_clips
 from vehsim.exporters.usd.versions import write_latest
@@ -100,6 +101,9 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
     with _layer_of(stage, f"/{take.name}/env/obstacles", take, pack, path, Z_UP_METRES) as layer:
         author_obstacles(layer, "/obstacles", take, pack)
+    if settings.tyre_marks:
+        with _layer_of(stage, f"/{take.name}/env/tyre_marks", take, pack, path, Z_UP_METRES) as layer:
+            author_tyre_marks(layer, "/tyre_marks", take, pack)
     if water := write_water(take, folder):
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/env/water").GetPrim()
         prim.GetPayloads().AddPayload(pack.relative(water[0], path))

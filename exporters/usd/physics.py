@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vehsim.lie.quaternions import quaternions
 from vehsim.rig.ops import open_rig
 from vehsim.rig.parts import Y_UP_TO_Z_UP
+from vehsim.vehicles.definition.inertia import known_inertia
 
 if TYPE_CHECKING:
     from vehsim.exporters.usd.metadata import Units
     from vehsim.vehicles.definition.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 
 def author_mass(prim: Any, vehicle: Vehicle, units: Units) -> None:
@@ -25,7 +23,7 @@ def author_mass(prim: Any, vehicle: Vehicle, units: Units) -> None:
     """
     from pxr import Gf, UsdGeom, UsdPhysics
 
-    if vehicle.rig is None or (known := _known(vehicle)) is None:
+    if vehicle.rig is None or (known := known_inertia(vehicle)) is None:
         return
     mass, matrix = known
     physics = UsdPhysics.MassAPI.Apply(prim)
@@ -45,18 +43,3 @@ def author_mass(prim: Any, vehicle: Vehicle, units: Units) -> None:
         q = quaternions((turn.T @ axes)[None])[0].tolist()
         physics.CreateDiagonalInertiaAttr(Gf.Vec3f(*(moments / units.metres**2).tolist()))
         physics.CreatePrincipalAxesAttr(Gf.Quatf(q[0], *q[1:]))
-
-
-def _known(vehicle: Any) -> tuple[float, Array | None] | None:
-    """The vehicle's mass, kg, and the inertia (6, 6) of one rigid body, rotation first; None if its equations do not
-    say."""
-    import casadi as ca
-
-    if hasattr(vehicle, "inertia"):
-        matrix = np.asarray(vehicle.inertia, float)
-        return float(matrix[-1, -1] if vehicle.mass is None else vehicle.mass), matrix if len(matrix) == 6 else None
-    if not hasattr(vehicle, "lagrangian"):
-        return None
-    rest, xi = ca.SX(len(vehicle.joints), 1), ca.SX.sym("xi", vehicle.group.dim)
-    hessian = ca.hessian(vehicle.lagrangian(rest, rest, xi), xi)[0]
-    return float(ca.Function("mass", [xi], [hessian])(0)[-1, -1]), None

@@ -32,6 +32,8 @@ Ints = NDArray[np.int64]
 
 WATER_ROWS = "vehsim:rows"
 """Attribute of the water's surface: the number of points of each of its rows, see `water_grid`."""
+TYRE_MARK = "vehsim:tyre_mark"
+"""Attribute of the ribbons of tyre marks: their points come in rows of a left and a right end."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,14 @@ class Sky:
     R_wd: Array
 
 
+class Ribbon(NamedTuple):
+    """A tyre mark: rows (k, 2, 3) m of its left and right ends, its opacity (k, 2), and its linear colour (3,)."""
+
+    rows: Array
+    opacity: Array
+    colour: Array
+
+
 class StageReader:
     """An exported stage, open for rendering.
 
@@ -105,9 +115,11 @@ class StageReader:
         self._metres = UsdGeom.GetStageMetersPerUnit(self._stage)
         self._cache = UsdGeom.XformCache()
         self._movers: dict[Any, str] = {}
+        self._made: dict[str, tuple[float, Ribbon]] = {}
         self._moving = frozenset(moving)
         self.water: str | None = None
         self.spray: str | None = None
+        self.tyre_marks: list[str] = []
         self.fps = Fraction(self._stage.GetFramesPerSecond()).limit_denominator(1001)
         self.frames = (int(self._stage.GetStartTimeCode()), int(self._stage.GetEndTimeCode()))
         self.cameras = {
@@ -197,6 +209,45 @@ class StageReader:
         widths = np.broadcast_to(widths if widths.size else [0.02], len(places))
         return places + T_wp[:3, 3], velocities, widths * np.linalg.norm(T_wp[:3, 2])
 
+    def tyre_marks_at(self, frame: float) -> list[Ribbon]:
+        """The tyre marks on the ground at a time code."""
+        found = []
+        for path in self.tyre_marks:
+            if path not in self._made or self._made[path][0] > frame:
+                ribbon, ends = self._tyre_mark(path, frame)
+                if frame >= ends:
+                    self._made[path] = ends, ribbon
+            else:
+                ribbon = self._made[path][1]
+            if np.ptp(ribbon.rows[:, 0], axis=0).any():
+                found.append(ribbon)
+        return found
+
+    def tyre_marks_made(self) -> Iterator[tuple[Ribbon, Array]]:
+        """The complete tyre marks, each with the time codes (k,) at which its rows are made."""
+        from pxr import UsdGeom
+
+        for path in self.tyre_marks:
+            points = UsdGeom.Mesh(self._stage.GetPrimAtPath(path)).GetPointsAttr()
+            times = np.array(points.GetTimeSamples())
+            moving = np.stack([np.array(points.Get(time), float) for time in times.tolist()])
+            placed = (moving == moving[-1]).all(axis=2).reshape(len(times), -1, 2).all(axis=2)
+            yield self._tyre_mark(path, times[-1])[0], times[placed.argmax(axis=0)]
+
+    def _tyre_mark(self, path: str, frame: float) -> tuple[Ribbon, float]:
+        """A tyre mark at a time code, and the time code at which it is complete."""
+        from pxr import UsdGeom
+
+        mesh = UsdGeom.Mesh(self._stage.GetPrimAtPath(path))
+        points = mesh.GetPointsAttr()
+        self._cache.SetTime(frame)
+        T_wm = self._world(path)
+        rows = np.array(points.Get(frame), float) @ T_wm[:3, :3].T + T_wm[:3, 3]
+        opacity = np.array(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayOpacity").Get(), float)
+        colour = np.array(mesh.GetDisplayColorAttr().Get()[0], float)
+        ends = max(points.GetTimeSamples(), default=-np.inf)
+        return Ribbon(rows.reshape(-1, 2, 3), opacity.reshape(-1, 2), colour), ends
+
     # ------------------------------------------------------------ once
 
     def sun(self) -> Sun | None:
@@ -251,6 +302,8 @@ class StageReader:
                 continue
             elif prim.HasAttribute(WATER_ROWS):
                 self.water = str(prim.GetPath())
+            elif prim.HasAttribute(TYRE_MARK):
+                self.tyre_marks.append(str(prim.GetPath()))
             elif prim.IsA(UsdGeom.Points):
                 self.spray = str(prim.GetPath())
             elif prim.IsA(UsdGeom.Mesh):

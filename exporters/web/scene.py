@@ -94,6 +94,7 @@ def scene_block(take: Take, stage: StageReader) -> bytes:
         **_motion(pack, take, group_poses(stage, frames), stage),
         "cameras": list(_cameras(pack, stage, take, frames)),
         "water": None if stage.water is None else _water(pack, stage, frames),
+        "tyreMarks": list(_tyre_marks(pack, stage)),
     }
     return pack.block(header)
 
@@ -413,6 +414,17 @@ def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
         "white": FOAM.tolist(),
         "rough": ROUGH[0],
     }
+
+
+def _tyre_marks(pack: Packing, stage: StageReader) -> Iterator[dict[str, Any]]:
+    """Ribbons as they are in the end, with the frame on which each row is made."""
+    for ribbon, made in stage.tyre_marks_made():
+        yield {
+            "rows": pack.array(ribbon.rows, "f4"),
+            "opacity": pack.array(ribbon.opacity, "f4"),
+            "made": pack.array(made, "f4"),
+            "colour": ribbon.colour.tolist(),
+        }
 
 
 def _placed(one: Mapping[str, Any], by: Array) -> dict[str, Any]:

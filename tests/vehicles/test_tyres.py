@@ -17,8 +17,9 @@ from vehsim.errors import InputError
 from vehsim.integrators import Integrator
 from vehsim.lie.quaternions import tilt_of
 from vehsim.vehicles import State
+from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.vehicles.models.drift_car import drift_car
-from vehsim.vehicles.models.tyres import SURFACES, Tyre
+from vehsim.vehicles.models.tyres import Tyre
 
 G = 9.81
 M, IZ, LF, LR, H = 1093.2952334674046, 1791.5995300122856, 1.1561957064, 1.4227170936, 0.61373004

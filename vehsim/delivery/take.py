@@ -79,7 +79,7 @@ class UsdSettings:
     or "refuse" them. ``shutter``: frames at which it opens and closes; it adds the samples for motion blur. ``thin`` m:
     adds a variant with the fewest keys within this tolerance. ``curves`` (m, degrees): adds a variant with splines
     within these tolerances. ``clip_frames``: value clips of that many frames.
-    ``layer_only``: write only the vehicles' animation layers.
+    ``layer_only``: write only the vehicles' animation layers. ``tyre_marks``: those of sliding tyres on the ground.
     """
 
     up_axis: str = "Z"
@@ -91,6 +91,7 @@ class UsdSettings:
     curves: tuple[float, float] | None = None
     clip_frames: int | None = None
     layer_only: bool = False
+    tyre_marks: bool = True
     versions: bool = False
 
 

@@ -92,6 +92,7 @@ const vehsim = {};
       this._makeShapes();
       this._makeCameras();
       this.water = header.water && new Water(header.water, array, this);
+      this.tyreMarks = (header.tyreMarks || []).map((given) => new TyreMark(given, array, this));
       this._makeOverlays();
       this.setMotion(header, array);
       this._makeControls();
@@ -497,6 +498,7 @@ const vehsim = {};
         group.matrixWorldNeedsUpdate = true;
       });
       if (this.water) this.water.show(k);
+      for (const mark of this.tyreMarks) mark.show(this.frame);
       this._showCompared(k);
       for (const camera of this.cameras) setPose(camera.frustum.matrix, camera.poses, k);
       const after = this.subject();
@@ -894,6 +896,48 @@ const vehsim = {};
       }
       this.place.needsUpdate = this.colour.needsUpdate = true;
       this.geometry.computeVertexNormals();
+    }
+  }
+
+  // ---------------------------------------------------------------- tyre marks
+
+  /** A ribbon on the ground, shown as far as it is made. Its edges fade. */
+  class TyreMark {
+    constructor(given, array, viewer) {
+      const ends = array(given.rows), opacity = array(given.opacity), faces = [];
+      const across = [0, 0.14, 0.86, 1], full = [0, 1, 1, 0], wide = across.length;
+      this.made = array(given.made);
+      const rows = this.made.length, places = new Float32Array(3 * wide * rows), colours = new Float32Array(4 * wide * rows);
+      for (let r = 0; r < rows; r++)
+        for (let c = 0; c < wide; c++) {
+          const at = r * wide + c;
+          for (let k = 0; k < 3; k++) {
+            places[3 * at + k] = ends[6 * r + k] + across[c] * (ends[6 * r + 3 + k] - ends[6 * r + k]);
+            colours[4 * at + k] = given.colour[k];
+          }
+          colours[4 * at + 3] = full[c] * opacity[2 * r];
+          if (r + 1 < rows && c + 1 < wide) faces.push(at, at + 1, at + wide, at + 1, at + wide + 1, at + wide);
+        }
+      this.geometry = new THREE.BufferGeometry();
+      this.geometry.setAttribute("position", new THREE.BufferAttribute(places, 3));
+      this.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 4));
+      const up = new Float32Array(places.length).map((_, k) => (k % 3 === 2 ? 1 : 0));
+      this.geometry.setAttribute("normal", new THREE.BufferAttribute(up, 3));
+      this.geometry.setIndex(faces);
+      this.perRow = 6 * (wide - 1);
+      const material = new THREE.MeshStandardMaterial({
+        vertexColors: true, transparent: true, depthWrite: false, roughness: 0.9, metalness: 0, side: THREE.DoubleSide,
+        polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -8,
+      });
+      const mesh = new THREE.Mesh(this.geometry, material);
+      mesh.receiveShadow = true;
+      viewer.scene.add(mesh);
+    }
+
+    show(frame) {
+      let rows = this.made.findIndex((when) => when > frame);
+      if (rows < 0) rows = this.made.length;
+      this.geometry.setDrawRange(0, this.perRow * Math.max(rows - 1, 0));
     }
   }
 

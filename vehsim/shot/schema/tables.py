@@ -309,6 +309,8 @@ class ExportTable(Table):
     """the greatest number of frames in a value clip, for long takes; default: one layer"""
     layer_only: bool = False
     """true to write only the vehicles' animation layers, which reference the assets where they are; without a report"""
+    tyre_marks: bool = True
+    """true or false: whether sliding tyres leave marks on the ground"""
     versions: bool = False
     """true to write v001, v002, ... and a latest.usda that sublayers the newest; no version is ever overwritten"""
 

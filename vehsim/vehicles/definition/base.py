@@ -18,6 +18,7 @@ from vehsim.errors import InputError
 from vehsim.rig.rig import Channel, Rig
 from vehsim.vehicles.definition.actuator import Actuator
 from vehsim.vehicles.definition.character import Character
+from vehsim.vehicles.definition.surfaces import SurfaceName
 
 if TYPE_CHECKING:
     from vehsim.lie import Group
@@ -96,6 +97,8 @@ class Definition:
     """The greatest angular speed of the root, rad/s, in plans without a ``limits.turn_rate``."""
     largest_step: float = math.inf
     """The largest step of a simulation, s: with longer ones, a fast decay such as that of a tyre's slip alternates."""
+    surface: SurfaceName = "asphalt"
+    """The ground under its tyres."""
     feels_wind: bool = False
     rig: Rig | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)

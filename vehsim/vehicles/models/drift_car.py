@@ -18,6 +18,7 @@ from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, Length, Mass, Unit
+from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.vehicles.models.ground import ackermann_channels
 from vehsim.vehicles.models.tyres import (
     CONTROLS,
@@ -28,7 +29,6 @@ from vehsim.vehicles.models.tyres import (
     WEIGHTS_LONGITUDINAL,
     Four,
     Share,
-    SurfaceName,
     Tyre,
     brake,
     sliding,
@@ -71,7 +71,7 @@ def drift_car(
     Joints: ``psi``, roll of the rear wheels, ``sigma``, tangent of the steering angle, ``psi_front``, roll of the front
     wheels. Controls: ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m],
     ``steering_rate``, the rate of sigma [1/s]. Channels: ``roll_*`` and Ackermann ``steer_*`` [rad]; ``slip_*``, speed
-    of the contact over the ground [m/s], and ``load_*`` [N] of each wheel.
+    of the contact over the ground [m/s], ``slip_ratio_*``, ``slip_angle_*`` [rad] and ``load_*`` [N] of each wheel.
     """
     tyre = Tyre(
         tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed
@@ -125,6 +125,12 @@ def drift_car(
     def slip(axle: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: sliding(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]]))
 
+    def slips(axle: int, component: int) -> Channel:
+        def value(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+            return tyre.slip(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]])[component]
+
+        return Channel(value=value)
+
     def load(axle: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: contact(r, u, xi)[2][axle] / 2)
 
@@ -142,11 +148,14 @@ def drift_car(
         rate_controls={"steering_rate": "sigma"},
         rolling=rolling,
         largest_step=LARGEST_STEP,
+        surface=surface,
         default_costs={"spin": SPIN},
         channels={
             **ackermann_channels(wheel_radius, wheelbase, half_track),
             **{f"roll_{wheel}": roll((2, 0)[axle]) for wheel, axle in axles.items()},
             **{f"slip_{wheel}": slip(axle) for wheel, axle in axles.items()},
+            **{f"slip_ratio_{wheel}": slips(axle, 0) for wheel, axle in axles.items()},
+            **{f"slip_angle_{wheel}": slips(axle, 1) for wheel, axle in axles.items()},
             **{f"load_{wheel}": load(axle) for wheel, axle in axles.items()},
         },
     )

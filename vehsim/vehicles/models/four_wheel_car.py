@@ -20,6 +20,7 @@ from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Inertia, Length, Mass, Unit
+from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.vehicles.models.ground import steer_channels
 from vehsim.vehicles.models.tyres import (
     CONTROLS,
@@ -30,7 +31,6 @@ from vehsim.vehicles.models.tyres import (
     WEIGHTS_LONGITUDINAL,
     Four,
     Share,
-    SurfaceName,
     Tyre,
     brake,
     sliding,
@@ -90,7 +90,7 @@ def four_wheel_car(
     angle; ``heave`` m, ``pitch`` (nose down) and ``roll`` (left side up) rad of the body on its springs. Controls:
     ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m], ``steering_rate``,
     the rate of sigma [1/s]. Channels: ``roll_*`` and Ackermann ``steer_*`` [rad]; ``slip_*``, speed of the contact over
-    the ground [m/s], and ``load_*`` [N] of each wheel.
+    the ground [m/s], ``slip_ratio_*``, ``slip_angle_*`` [rad] and ``load_*`` [N] of each wheel.
     """
     tyre = Tyre(
         tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed
@@ -170,6 +170,12 @@ def four_wheel_car(
     def slip_channel(wheel: str) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: sliding(hub(wheel, r, xi), wheel_radius * u[at[shafts[wheel]]]))
 
+    def slips_channel(wheel: str, component: int) -> Channel:
+        def value(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+            return tyre.slip(hub(wheel, r, xi), wheel_radius * u[at[shafts[wheel]]])[component]
+
+        return Channel(value=value)
+
     def load_channel(wheel: str) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: load(wheel, r, u))
 
@@ -184,12 +190,15 @@ def four_wheel_car(
         rolling=rolling,
         attitude=BODY,
         largest_step=LARGEST_STEP,
+        surface=surface,
         default_costs={"spin": SPIN},
         channels={
             **{f"roll_{wheel}": roll_channel(wheel) for wheel in places},
             **steer_channels(wheelbase, half_track, at["sigma"]),
             **{f"travel_{wheel}": Channel(value=lambda t, r, u, xi, c: 0.0) for wheel in places},
             **{f"slip_{wheel}": slip_channel(wheel) for wheel in places},
+            **{f"slip_ratio_{wheel}": slips_channel(wheel, 0) for wheel in places},
+            **{f"slip_angle_{wheel}": slips_channel(wheel, 1) for wheel in places},
             **{f"load_{wheel}": load_channel(wheel) for wheel in places},
         },
     )

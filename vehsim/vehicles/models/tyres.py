@@ -11,9 +11,9 @@ by the cosine weights of eq. 4.E50 and 4.E58. Three things differ, so that the l
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from annotated_types import Interval, Len
@@ -21,6 +21,7 @@ from annotated_types import Interval, Len
 from vehsim.errors import InputError
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.quantities import Unit
+from vehsim.vehicles.definition.surfaces import SURFACES, SurfaceName
 
 Share = Annotated[float, Unit(""), Interval(ge=0, le=1)]
 Four = Annotated[tuple[float, float, float, float], Len(4, 4), Unit("")]
@@ -29,28 +30,6 @@ LATERAL: Four = (1.3507, 1.0489, -0.0074722, 21.92)
 WEIGHTS_LONGITUDINAL: Four = (13.276, 13.778, 1.2568, 0.65225)
 WEIGHTS_LATERAL: Four = (7.1433, 9.1916, 1.0719, -0.27572)
 """The tyre of CommonRoad (2020), table 7, from the ADAMS handbook; see `Tyre`."""
-SurfaceName = Literal["asphalt", "wet asphalt", "gravel", "snow", "ice"]
-
-
-@dataclass(frozen=True)
-class Surface:
-    """What the ground does to a tyre: its peak ``friction`` and its slip ``stiffness`` as shares of those on dry
-    asphalt, and the source of both."""
-
-    friction: float
-    stiffness: float
-    source: str
-
-
-NOON = "friction: Noon (1994), means of braking tests: {} over 0.65 on dry asphalt"
-BURCKHARDT = "stiffness: Burckhardt (1993), slope {} over 30.2"
-SURFACES: Mapping[SurfaceName, Surface] = {
-    "asphalt": Surface(1.0, 1.0, "the tyre's own coefficients"),
-    "wet asphalt": Surface(0.77, 0.95, f"{NOON.format(0.5)}; {BURCKHARDT.format(28.6)}"),
-    "gravel": Surface(0.54, 0.6, f"{NOON.format(0.35)}; stiffness: our choice, as on snow, which also shears"),
-    "snow": Surface(0.35, 0.6, f"{NOON.format('0.2 to 0.25')}; {BURCKHARDT.format(18.3)}"),
-    "ice": Surface(0.19, 0.51, f"{NOON.format('0.1 to 0.15')}; {BURCKHARDT.format(15.3)}"),
-}
 CONTROLS = (
     Control("drive", unit="N m"),
     Control("brake", lower=0.0, unit="N m"),

@@ -22,6 +22,7 @@ from vehsim.rig.linkage import part_poses
 from vehsim.rig.rig import Rig
 from vehsim.world.ground.springs import deflections, lean_of
 from vehsim.world.ground.trailers import tilted
+from vehsim.world.ground.tyres import spring_loads
 from vehsim.world.ground.wheels import Wheel, touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 
@@ -49,9 +50,10 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     A vehicle with springs of its own (`Definition.attitude`) also dives and leans on level ground without a terrain.
 
     Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
-    side up, rad); fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and ``hitch_roll*`` of trailers, as ``pitch``
-    and ``roll``; wheels turn by the length of the slope. The planar motion does not change. Other clips, and clips
-    without terrain, are returned unchanged. ``samples``: at least so many per frame; ``coarse``: see `Wheel.coarse`.
+    side up, rad), and ``load_*`` (N) of wheels on springs; fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and
+    ``hitch_roll*`` of trailers, as ``pitch`` and ``roll``; wheels turn by the length of the slope. The planar motion
+    does not change. Other clips, and clips without terrain, are returned unchanged. ``samples``: at least so many per
+    frame; ``coarse``: see `Wheel.coarse`.
     Raises ``SolveError`` where the vehicle cannot stand on the ground, such as on a wall of rock.
     """
     terrain = None if world is None else world.terrain
@@ -86,7 +88,8 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     channels |= tilted(rig, terrain, channels, clip.times, *there)
     channels |= _wheel_channels(rig, terrain, wheels, channels, *there)
     _warn_strain(clip, held, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
-    return replace(clip, positions=there[0], orientations=there[1], channels=channels)
+    placed = replace(clip, positions=there[0], orientations=there[1], channels=channels)
+    return replace(placed, channels={**channels, **spring_loads(placed, wheels)})
 
 
 def _level(clip: Clip) -> Terrain:
