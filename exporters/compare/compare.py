@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from posixpath import commonpath
 from typing import Any
 
 import numpy as np
@@ -131,15 +132,17 @@ def _mostly_changed(
         seen.append({*colours.tolist()})
     gone = seen[0] - seen[1] if len(seen) == 2 else set()
     vanished = {names[f"#{colour:06x}"] for colour in gone if f"#{colour:06x}" in names} & found
-    left = after.values()
-    return tuple(sorted(found)), tuple(sorted({_topmost(path, left) for path in vanished}))
+    lost = {_lost_with(path, names.values(), after.values()) for path in vanished}
+    return tuple(sorted(found)), tuple(sorted(lost))
 
 
-def _topmost(path: str, left: Collection[str]) -> str:
-    """The highest prim at or above ``path``, below the root, with none of the prims that are ``left`` below it."""
+def _lost_with(path: str, known: Collection[str], left: Collection[str]) -> str:
+    """The prim that vanished with ``path``: above it and below the root, the highest with none of the prims that are
+    ``left`` below it; not an empty carrier, but the prim that contains all that is ``known`` below the carrier."""
     steps = path.split("/")
     above = ("/".join(steps[:count]) for count in range(3, len(steps)))
-    return next((prim for prim in above if not any(f"{other}/".startswith(f"{prim}/") for other in left)), path)
+    highest = next((prim for prim in above if not any(f"{other}/".startswith(f"{prim}/") for other in left)), path)
+    return commonpath([other for other in (path, *known) if f"{other}/".startswith(f"{highest}/")])
 
 
 def kind_of(path: Path) -> str:

@@ -98,3 +98,31 @@ def test_small_prims_may_not_vanish_or_change_their_colour(tmp_path, kind, pixel
     text = "/shot/heli/hub is missing" if kind == "segmentation" else "most of /shot/heli/hub"
     assert found[kind].fails() is named and (text in str(found[kind])) is named
     assert found["colour"].fails(0.01) is False
+
+
+@pytest.mark.parametrize(
+    ("lost", "named"),
+    [
+        (("knuckle/wheel_fl/tyre", "knuckle/wheel_fl/spoke"), "/shot/cart/knuckle/wheel_fl is missing"),
+        (("knuckle/wheel_fl/spoke",), "/shot/cart/knuckle/wheel_fl/spoke is missing"),
+        (("tub",), "/shot/cart/tub is missing"),
+        (("tub", "knuckle/wheel_fl/tyre", "knuckle/wheel_fl/spoke"), "/shot/cart is missing"),
+    ],
+)
+def test_a_missing_wheel_is_named_and_not_the_empty_knuckle_above_it(tmp_path, lost, named):
+    from vehsim.exporters.pictures.passes import pass_path, prim_colours, write_legend
+
+    parts = ("tub", "knuckle/wheel_fl/tyre", "knuckle/wheel_fl/spoke")
+    for folder in ("a", "b"):
+        kept = [part for part in parts if folder == "a" or part not in lost]
+        paths = ["/shot/env/ground", *(f"/shot/cart/{part}" for part in kept)]
+        colours = dict(zip(paths, prim_colours(paths), strict=True))
+        shown = np.tile(colours["/shot/env/ground"], (400, 400, 1))
+        for k, part in enumerate(parts):
+            shown[20 * k : 20 * k + 10, :200] = colours.get(f"/shot/cart/{part}", shown[-1, -1])
+        beside = pass_path(tmp_path / folder / "main" / "shot.main.1001.png", "segmentation")
+        beside.parent.mkdir(parents=True)
+        write_legend(paths, beside.parent)
+        Image.fromarray(shown).save(beside)
+    (found,) = compare_folders(tmp_path / "b", tmp_path / "a")
+    assert str(found).endswith(named)
