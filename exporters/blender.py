@@ -634,7 +634,7 @@ def __getattr__(name: str) -> Any:
     from vehsim.delivery.exporters import Exporter
 
     endings, write, makes = EXPORTERS[name]
-    return Exporter(name, endings, write, ("usd",), makes=makes)
+    return Exporter(name, endings, write, ("usd",), makes=makes, ready=_blender)
 
 
 if __name__ == "__main__":

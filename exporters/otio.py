@@ -17,16 +17,21 @@ from vehsim.errors import InputError
 from vehsim.runtime.progress import Progress
 
 
+def opentimelineio() -> Any:
+    """The module, an optional dependency. Raises ``InputError``."""
+    try:
+        import opentimelineio
+    except ImportError:
+        raise InputError("needs OpenTimelineIO", "pip install 'vehsim[otio]'", key="to", value="otio") from None
+    return opentimelineio
+
+
 def write_otio(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``<shot>.otio``; returns the file. Each clip refers to the pictures that `png` writes for its camera.
 
     Raises ``InputError`` without OpenTimelineIO.
     """
-    try:
-        import opentimelineio as otio
-    except ImportError:
-        raise InputError("needs OpenTimelineIO", "pip install 'vehsim[otio]'", key="to", value="otio") from None
-
+    otio = opentimelineio()
     progress("otio: timeline", 0.0)
     rate, (first, last) = float(take.fps), take.frames
 
@@ -63,4 +68,10 @@ def write_otio(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     return [path]
 
 
-exporter = Exporter(name="otio", suffixes=(".otio",), write=write_otio, makes="the cut list for editorial")
+exporter = Exporter(
+    name="otio",
+    suffixes=(".otio",),
+    write=write_otio,
+    makes="the cut list for editorial",
+    ready=opentimelineio,
+)

@@ -168,6 +168,17 @@ def test_foreign_folders_are_refused_before_any_work(tmp_path: Path, capsys: pyt
     assert "was not written by vehsim" in capsys.readouterr().err
 
 
+def test_a_missing_blender_is_reported_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("VEHSIM_BLENDER", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("vehsim.shot.Shot.solve", lambda *_, **__: pytest.fail("it was solved"))
+    shot = write(tmp_path)
+    assert cli.run(["export", shot, "--out", str(tmp_path / "out"), "--to", "usd,blend"]) == 2
+    assert "VEHSIM_BLENDER" in capsys.readouterr().err
+
+
 def test_quiet_prints_only_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shot = write(tmp_path, more="[world]\nwind = [0, 3, 0]\n")
     assert cli.run(["export", shot, "--out", str(tmp_path), "--to", "npz", "--quiet"]) == 0

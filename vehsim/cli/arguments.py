@@ -138,10 +138,10 @@ def check_folder(out: Path) -> None:
 
 def check_delivery(names: Sequence[str], out: Path, shot: Shot) -> None:
     """Check that the exporters ``names`` can deliver ``shot`` to ``out``."""
-    from vehsim.delivery.exporters import check_stage_is_there
+    from vehsim.delivery.exporters import check_ready
     from vehsim.delivery.folders import may_hold_versions, may_replace
 
-    check_stage_is_there(names, shot.usd.layer_only)
+    check_ready(names, shot.usd.layer_only)
     (may_hold_versions if shot.usd.versions else may_replace)(out / shot.name)
     home = out / shot.name if shot.usd.versions else out
     there = next(path for path in (home, *home.parents) if os.path.exists(path))

@@ -40,6 +40,8 @@ class Exporter:
     """What a batch calls its work"""
     every_frame: bool = False
     """Whether it renders every frame of every camera, which takes minutes for a long shot"""
+    ready: Callable[[], object] = lambda: None
+    """Raises ``InputError`` if a program or package that it runs is missing; called before anything is solved"""
 
 
 GROUP = "vehsim.exporters"
@@ -89,10 +91,12 @@ def in_order(names: Sequence[str]) -> list[Exporter]:
     return list(ordered.values())
 
 
-def check_stage_is_there(names: Sequence[str], layer_only: bool) -> None:
-    """Raise ``InputError`` if exporters need the shot's stage but only the layers will be written."""
-    for exporter in in_order(names) if layer_only else ():
-        if exporter.needs:
+def check_ready(names: Sequence[str], layer_only: bool) -> None:
+    """Raise ``InputError`` if exporters are not `ready`, or need the shot's stage but only the layers will be
+    written."""
+    for exporter in in_order(names):
+        exporter.ready()
+        if layer_only and exporter.needs:
             raise InputError(
                 "made from the shot's stage, which export.layer_only omits",
                 "leave out one",

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 from vehsim.delivery.exporters import (
     REPORT_GROUP,
     Exporter,
-    check_stage_is_there,
+    check_ready,
     delivering,
     exporter_for,
     find_exporter,
-    in_order,
     point_at_newest,
     write_files,
 )
@@ -144,8 +143,7 @@ class Take:
         ``InputError`` for unknown exporters, ``ExportError`` for files that cannot be written.
         """
         to = (to,) if isinstance(to, str) else tuple(to)
-        in_order(to)
-        check_stage_is_there(to, self.usd.layer_only)
+        check_ready(to, self.usd.layer_only)
         target = Path(out) / self.name
         if self.usd.layer_only and to == ("usd",) and not self.usd.versions and not (target / SIGN).is_file():
             return self._export_layers(target, overwrite, progress or silent)
