@@ -132,8 +132,8 @@ def _mostly_changed(
         seen.append({*colours.tolist()})
     gone = seen[0] - seen[1] if len(seen) == 2 else set()
     vanished = {names[f"#{colour:06x}"] for colour in gone if f"#{colour:06x}" in names} & found
-    lost = {_lost_with(path, names.values(), after.values()) for path in vanished}
-    return tuple(sorted(found)), tuple(sorted(lost))
+    missing = {_lost_with(path, names.values(), after.values()) for path in vanished}
+    return tuple(sorted(found)), tuple(sorted(missing))
 
 
 def _lost_with(path: str, known: Collection[str], left: Collection[str]) -> str:

@@ -638,13 +638,26 @@ def _options(
 def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code. The user sees a traceback only if VEHSIM_DEBUG is set."""
     _end_like_interrupt()
-    warnings.formatwarning = lambda message, *rest, **more: f"warning: {message}\n"  # omit the source line
+    warnings.formatwarning = _warning_once()
     with outliving_readers() as lost:
         code = _run(arguments)
         missed = lost()
         if missed is not None and not code:  # if the output could not be printed, the command has failed
             code = _fail(f"the output could not be printed: {missed.strerror}; everything else succeeded", FAILED)
     return code
+
+
+def _warning_once() -> Callable[..., str]:
+    """A format of warnings without their place in the source; empty for one that was formatted before."""
+    shown: set[str] = set()
+
+    def formatted(message: object, *rest: object, **more: object) -> str:
+        line = f"warning: {message}\n"
+        repeated = line in shown
+        shown.add(line)
+        return "" if repeated else line
+
+    return formatted
 
 
 def _run(arguments: Sequence[str]) -> int:
