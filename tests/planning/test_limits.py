@@ -182,3 +182,12 @@ def test_what_has_no_tyres_has_no_grip(name):
     marks = [Mark(1, position=(0, 0, 0)), Mark(100, position=(9, 0, 0))]
     with pytest.raises(InputError, match=f"limits.grip: {name} does not stand on tyres; limit g_load"):
         vehsim.plan(vehsim.load_vehicle(name), None, marks, limits={"grip": 0.9})
+
+
+@pytest.mark.parametrize("surface, friction", [("asphalt", 1.0), ("gravel", 0.54), ("snow", 0.35)])
+def test_grip_is_that_of_the_surface(surface, friction):
+    """In a bend on the limit, the car needs as much friction as its surface gives, and no more."""
+    car = vehsim.load_vehicle("car", {"surface": surface})
+    plan = vehsim.plan(car, None, DRIVE, cost=QUICK, limits={"grip": 0.5}, character="stunt", segments=32)
+    assert plan.success, plan.message
+    assert 0.8 * 0.5 * friction < measured(plan.clip)["grip"] <= 0.5 * friction * WITHIN

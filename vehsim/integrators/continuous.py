@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import casadi as ca
@@ -34,12 +35,13 @@ def equations_of_motion(vehicle: Vehicle) -> ca.Function:
 def execute(
     vehicle: Vehicle, g: Array, r: Array, z: Array, controls: Array, steps: Array, wind: Array, fine: int = 16
 ) -> tuple[Array, Array]:
-    """Execute knot controls (n, c), linear between knots, with RK4 and ``fine`` steps per segment.
+    """Execute knot controls (n, c), linear between knots, with RK4 and at least ``fine`` steps per segment: more where
+    the vehicle's `largest_step` requires it, as longer steps would be unstable.
 
     ``steps`` (n - 1,) s. Starts from ``g, r`` and the free velocity ``z``. Returns group coordinates (n, size) and
     joints (n, s) at the knots, to compare a plan with the actual effect of its controls.
     """
-    segment = _rk4_segment(vehicle, fine)
+    segment = _rk4_segment(vehicle, max(fine, math.ceil(float(steps.max()) / vehicle.largest_step - 1e-9)))
     sizes = [len(g), len(r), len(z)]
     x = np.concatenate([g, r, z])
     n = len(steps)

@@ -66,6 +66,8 @@ SHARE = 0.1
 If they end farther away, the plan is not a motion of this vehicle, or so unstable that its controls do not reproduce
 it.
 """
+MORE = 1.1
+"""Factor on the time of a slide at the limit of grip after which its controls repeat it: on snow, 1.06 is enough."""
 FASTER = 0.005
 """By how much, relative to the vehicle's top speed or turn rate, a motion may exceed it before it is planned again with
 that limit."""
@@ -512,7 +514,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         message += f"; when executed, the controls end {off:.3g} m from the planned end"
         if off > allowed:
             success, reason = False, "execution"
-            message += f", more than {allowed:.2g} m: use more segments, more time, or a slower motion"
+            message += f", more than {allowed:.2g} m: {_calmer(request)}"
     begun = run.iterations > 0 or not run.deadline.hopeless  # otherwise there is no time to place wheels on the ground
     with warnings.catch_warnings(record=True) as cautions:  # of this motion, which may not be the plan's
         warnings.simplefilter("always")
@@ -553,3 +555,15 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         _run=run,
         _cautions=tuple(str(caution.message) for caution in cautions),
     )
+
+
+def _calmer(request: Request) -> str:
+    """What makes controls repeat a motion from which they lead astray."""
+    if request.vehicle.rolling is None:
+        return "use more segments, more time, or a slower motion"
+    first, last = request.marks[0], request.marks[-1]
+    why = "at the limit of grip, where slides are unstable, controls do not repeat a motion"
+    if last.given_frame is None:
+        return f"{why}: ask for a slower one"
+    frame = math.ceil(int(first.frame) + MORE * (int(last.frame) - int(first.frame)))
+    return f"{why}: give it about {MORE - 1:.0%} more time ({last.name}.frame = {frame}), or smaller slides"

@@ -325,7 +325,7 @@ LIMITS: Registry[Limit] = Registry(
         "grip": Limit(
             lambda k: _norm(k.acceleration[0:2]) / GRAVITY,
             "g",
-            "friction that tyres need on level ground",
+            "friction that tyres need on level ground, over that of their surface to dry asphalt",
             on_tyres=True,
         ),
         "g_load": Limit(

@@ -26,6 +26,7 @@ from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits
 from vehsim.planning.trim import leans, rests_uncontrolled
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import DEFAULT
+from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground import touchdown
 from vehsim.world.ground.placing import can_stand
 from vehsim.world.ground.slope import on_terrain
@@ -121,6 +122,12 @@ class Request:
         return bool(about) and self.vehicle.group.dim == 6
 
 
+def _on_surface(limits: Limits, vehicle: Vehicle) -> Limits:
+    """The limits with those of friction, which are given as on dry asphalt, on the vehicle's surface."""
+    friction = SURFACES[vehicle.surface].friction
+    return limits.within({name: friction * value for name, value in limits.values.items() if LIMITS[name].on_tyres})
+
+
 def make_request(
     vehicle: Vehicle,
     world: Any,
@@ -161,7 +168,7 @@ def make_request(
         segments=int(segments),
         weights=cost_weights(cost, default_costs(vehicle, marks)),
         clearance=float(clearance),
-        limits=check_limits(limits or {}, vehicle.joints),
+        limits=_on_surface(check_limits(limits or {}, vehicle.joints), vehicle),
         refine=refine,
         max_iterations=max_iterations,
         terms=kept,

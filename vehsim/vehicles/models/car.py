@@ -8,6 +8,7 @@ from vehsim.lie import SE2
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, JointDamping, Length, Mass, Slope
+from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.vehicles.models.ground import ackermann_channels, slope_energy
 
 
@@ -22,12 +23,14 @@ def car(
     half_track: Distance,
     slope: Slope = (0.0, 0.0),
     rolling_damping: JointDamping = 0.0,
+    surface: SurfaceName = "asphalt",
 ) -> Nonholonomic:
     """A car whose body frame stands on the rear axle.
 
     ``mass`` kg, ``wheel_inertia`` (rear wheels, LIE's I) and ``yaw_inertia`` (K, about the rear axle) kg m^2; radius,
     wheelbase and half track in m; ``slope`` (2,) rise of the ground per metre along world X and Y; ``rolling_damping``
-    N m s/rad of the rear axle. Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(steering angle)``.
+    N m s/rad of the rear axle; ``surface``: see `surfaces`.
+    Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(steering angle)``.
     Controls: ``torque`` on the rear axle [N m] and ``steering_rate``, the rate of sigma [1/s].
     Channels: ``roll_*`` of the four wheels, each without slip, and Ackermann ``steer_*`` of the front two [rad].
     """
@@ -45,6 +48,7 @@ def car(
 
     return Nonholonomic(
         name=name,
+        surface=surface,
         group=SE2,
         joints=("psi", "sigma"),
         lagrangian=lagrangian,

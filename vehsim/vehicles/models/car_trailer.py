@@ -9,6 +9,7 @@ from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Coordinate, Inertia, JointDamping, Length, Mass, Slope
+from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.vehicles.models.ground import slope_energy
 
 
@@ -26,12 +27,14 @@ def car_trailer(
     trailer_length: Length,
     slope: Slope = (0.0, 0.0),
     hitch_damping: JointDamping = 0.0,
+    surface: SurfaceName = "asphalt",
 ) -> Nonholonomic:
     """A car whose body frame stands on the rear axle, its hitch ``hitch_behind`` m behind, and a one-axle trailer.
 
     Car: ``mass`` kg, ``wheel_inertia`` and ``yaw_inertia`` (about the rear axle) kg m^2, radius and wheelbase m.
     Trailer: mass and inertia about its centre of mass, which stands on its axle, ``trailer_length`` m from the hitch.
-    ``slope`` (2,) rise per metre along world X and Y (felt by the car); ``hitch_damping`` N m s/rad.
+    ``slope`` (2,) rise per metre along world X and Y (felt by the car); ``hitch_damping`` N m s/rad;
+    ``surface``: see `surfaces`.
     Joints: ``psi`` roll of the rear wheels, ``sigma = tan(steering angle)``, ``hitch``, the trailer's angle against the
     car [rad]. Controls: ``torque`` on the rear axle [N m] and ``steering_rate`` of sigma [1/s].
     Channels: ``roll_rear``, ``roll_front``, ``steer``, ``hitch``, ``roll_trailer`` [rad];
@@ -62,6 +65,7 @@ def car_trailer(
 
     return Nonholonomic(
         name=name,
+        surface=surface,
         group=SE2,
         joints=("psi", "sigma", "hitch"),
         lagrangian=lagrangian,

@@ -9,6 +9,7 @@ from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, JointDamping, Length, Mass, Slope
+from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.vehicles.models.ground import ackermann_channels, slope_energy
 
 
@@ -25,12 +26,13 @@ def simple_car(
     slope: Slope = (0.0, 0.0),
     rolling_damping: JointDamping = 0.0,
     steering_damping: JointDamping = 0.0,
+    surface: SurfaceName = "asphalt",
 ) -> Nonholonomic:
     """A bicycle model whose body frame stands on the rear axle.
 
     ``mass`` kg; inertias kg m^2: rear wheels (NH's I), yaw about the rear axle (K), steering column (J); radius,
     wheelbase and half track (for the channels) m; ``slope`` (2,) rise per metre along world X and Y; dampings N m s/rad
-    of rear axle and steering column.
+    of rear axle and steering column. ``surface``: see `surfaces`.
     Joints: ``psi``, roll of the rear wheels [rad], and ``sigma = tan(phi)`` of the steering angle phi.
     Controls: ``torque`` on the rear axle and ``steering`` torque on the column, about phi [N m].
     Channels: ``roll_rear``, ``roll_front``, ``steer`` of the bicycle, and those of a car's four wheels [rad].
@@ -55,6 +57,7 @@ def simple_car(
 
     return Nonholonomic(
         name=name,
+        surface=surface,
         group=SE2,
         joints=("psi", "sigma"),
         lagrangian=lagrangian,

@@ -12,6 +12,7 @@ from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, Length, Mass
+from vehsim.vehicles.definition.surfaces import SurfaceName
 
 
 def truck(
@@ -26,12 +27,13 @@ def truck(
     hitches: Sequence[Length] = (),
     trailer_masses: Sequence[Mass] = (),
     trailer_inertias: Sequence[Inertia] = (),
+    surface: SurfaceName = "asphalt",
 ) -> Nonholonomic:
     """A tractor whose body frame stands on the rear axle, on the ground, and its trailers.
 
     Tractor: ``mass`` kg, ``wheel_inertia`` of the driven wheels, ``yaw_inertia`` about the rear axle kg m^2; radius of
     all wheels, wheelbase and half track m. Trailers from the front: ``hitches`` m from each axle to the one ahead,
-    where it is coupled; masses on the axle and inertias about it.
+    where it is coupled; masses on the axle and inertias about it. ``surface``: see `surfaces`.
     Joints: ``psi``, roll of the driven wheels, ``sigma = tan(steering angle)``, and for every trailer ``hitch_k``, its
     angle against what pulls it [rad]. Controls: ``torque`` on the driven axle [N m] and ``steering_rate`` of sigma
     [1/s].
@@ -100,6 +102,7 @@ def truck(
     channels |= {f"hitch_{tilt}_{k + 1}": still for tilt in ("pitch", "roll") for k in range(count)}
     return Nonholonomic(
         name=name,
+        surface=surface,
         group=SE2,
         joints=("psi", "sigma", *(f"hitch_{k + 1}" for k in range(count))),
         lagrangian=lagrangian,

@@ -7,6 +7,7 @@ from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.quantities import Distance, Inertia, JointDamping, Length, Mass, Slope
+from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.vehicles.models.ground import slope_energy
 
 
@@ -20,11 +21,13 @@ def two_wheeled(
     half_track: Distance,
     slope: Slope = (0.0, 0.0),
     rolling_damping: JointDamping = 0.0,
+    surface: SurfaceName = "asphalt",
 ) -> Nonholonomic:
     """A robot whose body frame, and centre of mass, stands between its wheels.
 
     ``mass`` kg; ``yaw_inertia`` and ``wheel_inertia`` (each) kg m^2; ``wheel_radius`` and ``half_track`` (NH's d) m;
-    ``slope`` (2,) rise per metre along world X and Y; ``rolling_damping`` N m s/rad of each wheel. Joints and channels:
+    ``slope`` (2,) rise per metre along world X and Y; ``rolling_damping`` N m s/rad of each wheel; ``surface``: see
+    `surfaces`. Joints and channels:
     ``right`` and ``left``, roll of the wheels [rad]. Controls: ``torque_right`` and ``torque_left`` [N m].
     The right wheel turns the robot left: ``omega = rho / (2 d) (right - left)``.
     """
@@ -39,6 +42,7 @@ def two_wheeled(
 
     return Nonholonomic(
         name=name,
+        surface=surface,
         group=SE2,
         joints=("right", "left"),
         lagrangian=lagrangian,

@@ -20,6 +20,7 @@ from vehsim.errors import SolveError
 from vehsim.lie.quaternions import matrices, tilt_of, yaw_tilt
 from vehsim.rig.linkage import part_poses
 from vehsim.rig.rig import Rig
+from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground.springs import deflections, lean_of
 from vehsim.world.ground.trailers import tilted
 from vehsim.world.ground.tyres import spring_loads
@@ -182,7 +183,7 @@ def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array
     """Warn if tyres, or else springs, exceed their limits."""
     needed = np.hypot(*held) / GRAVITY
     name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
-    if needed.max() > GRIP and clip.vehicle.rolling is None:
+    if needed.max() > GRIP * SURFACES[clip.vehicle.surface].friction and clip.vehicle.rolling is None:
         frame = clip.frames[int(needed.argmax())]
         message = (
             f"{needed.max():.1f} g at frame {frame:.0f}: more than the grip of tyres, but wheels never slip here; "
