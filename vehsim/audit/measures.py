@@ -277,7 +277,9 @@ def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
     def measured(part: Track) -> Array:
         away = scene.away(part, wanted["obstacles_only"])
         for place in wanted.get("landings", ()):
-            near = np.tanh(wanted["slope"] * _norms(part.positions - place) / max(least, 1e-6))
+            tip = wanted.get("round", 0.0)
+            far = np.hypot(_norms(part.positions - place), tip) - tip
+            near = np.tanh(wanted["slope"] * far / max(least, 1e-6))
             away = away + least * (1 - near)
         return away + part.blur.position
 

@@ -38,6 +38,8 @@ _TILT = 0.6
 """Largest tilt of a helicopter pilot, rad."""
 _FULL_TILT = 0.15
 """Attitude error, rad, at which the weaker of roll and pitch reaches its bound: sets the gains."""
+_FULL_TURN = 0.5
+"""Error of the heading, rad, at which the yaw control moves at its largest rate."""
 _OBSERVER = 2.0
 """Speed of the estimate of wind and other forces, rad/s."""
 _SIDE = 1.0
@@ -289,6 +291,8 @@ class _Helicopter:
         tilt = np.sin(np.clip(self.upper[2:], 0.01, 0.5)).min()
         strongest = self.d_t * self.mass * self.gravity * tilt / max(self.J[0, 0], self.J[1, 1])
         self.pole = float(np.clip(np.sqrt(strongest / _FULL_TILT / 6), 0.2, 2.5))
+        quickest = vehicle.controls[1].actuator.rate * abs(slope[2, 1]) / self.J[2, 2]
+        self.poles = np.array([self.pole, self.pole, min(self.pole, np.cbrt(quickest / _FULL_TURN / 6))])
         self.ease, self.lag = 3.0 / self.pole, 2.0 / (3.0 * self.pole)
         self._lead = Lead(vehicle)
         self.reset()
@@ -381,7 +385,7 @@ class _Helicopter:
         angle = np.arccos(np.clip((np.trace(wanted.T @ R) - 1) / 2, -1.0, 1.0))
         sine = np.linalg.norm(error)
         error = error * (angle / sine) if sine > 1e-6 else error + (angle > 1) * np.array([np.pi, 0.0, 0.0])
-        p = self.pole
+        p = self.poles
         return np.cross(omega, self.J @ omega) - self.J @ (6 * p**2 * error + 4 * p * omega)
 
     def _controls(self, torque: Array, thrust: float, air: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from vehsim.audit import PER_FRAME
 from vehsim.planning.problem.stage import evaluate
 from vehsim.planning.request.character import control_rates, eased
-from vehsim.planning.request.landing import SLOPE
+from vehsim.planning.request.landing import ROUND, SLOPE
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import LIMITS, Constraint, KnotView
@@ -57,6 +57,7 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
             "obstacles_only": request.vehicle.group.dim != 6,
             "landings": [list(map(float, place)) for place in landings if place is not None],
             "slope": SLOPE,
+            "round": ROUND,
         }
         asks.append(Ask("clearance", "clearance", first, last, wanted, lower=request.clearance - NEAR_ENOUGH, unit="m"))
     return asks

@@ -50,7 +50,12 @@ def landing_clearance(distance: Any, clearance: Any, touching: Any, tanh: Any = 
 
 def rounded_distance(position: Expr, place: Expr) -> Expr:
     """Distance of a position (3,) from a landing, m, smooth at the landing."""
-    return ca.sqrt(ca.sumsqr(position - place) + ROUND**2) - ROUND
+    return rounded(ca.sumsqr(position - place), ca.sqrt)
+
+
+def rounded(squared: Any, sqrt: Any = np.sqrt) -> Any:
+    """A distance, m, of which the square is given, made smooth at zero, where it grows by up to `ROUND` less."""
+    return sqrt(squared + ROUND**2) - ROUND
 
 
 def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
@@ -59,7 +64,8 @@ def forgiven(marks: Sequence[Mark], wanted: float) -> Callable[[Array], Array]:
     places = [np.asarray(mark.position, float) for mark in marks if mark.on_ground]
 
     def less(positions: Array) -> Array:
-        away = [wanted - landing_clearance(np.linalg.norm(positions - p, axis=1), wanted, 0.0) for p in places]
+        far = [rounded(((positions - place) ** 2).sum(axis=1)) for place in places]
+        away = [wanted - landing_clearance(distance, wanted, 0.0) for distance in far]
         return np.max(away, axis=0, initial=0.0) if away else np.zeros(len(positions))
 
     return less
