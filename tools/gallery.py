@@ -35,6 +35,7 @@ STILLS = {
     "river_bend": (1565, "chase"),
     "robot_worlds_seed0": (1166, "chase"),
     "simple_car_worlds_seed0": (1160, "chase"),
+    "slalom_on_gravel": (1103, "chase"),
     "snakeboard_to_mark": (1100, "chase"),
     "snakeboard_twist": (1109, "chase"),
     "storm_turn": (1084, "follow"),
