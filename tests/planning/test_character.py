@@ -19,7 +19,7 @@ from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.costs import RunningCosts
 from vehsim.planning.request.character import control_rates, traits_of
 from vehsim.planning.request.request import make_request
-from vehsim.vehicles.definition.base import Control
+from vehsim.planning.trim import trim
 from vehsim.vehicles.definition.character import CHARACTERS, Character, Trait
 from vehsim.world.obstacles import moving
 
@@ -96,14 +96,9 @@ def test_every_planned_vehicle_eases_in_and_out_of_rest(name: str) -> None:
     assert made.success and not [str(row) for row in made.audit if row.met is False]
     assert rates_at_ends(made, "normal") <= 0.01
     # in balance: thrusts and torques are those of hover or rest; the boat's outboard may point anywhere
-    trim, scale = (np.array([value(c) for c in made.clip.vehicle.controls]) for value in (_at_rest, lambda c: c.scale))
+    scale, rest = np.array([c.scale for c in made.clip.vehicle.controls]), trim(vehicle, STILL)
     acts = [name != "boat" or c.name != "steering" for c in made.clip.vehicle.controls]
-    assert np.abs((made.clip.controls[[0, -1]] - trim) / scale)[:, acts].max() < 0.01
-
-
-def _at_rest(control: Control) -> float:
-    """A control's value in hover or at rest; the collective's scale is the weight."""
-    return control.scale if control.name == "collective" else 0.0
+    assert np.abs((made.clip.controls[[0, -1]] - rest) / scale)[:, acts].max() < 0.01
 
 
 def test_the_default_is_normal() -> None:
