@@ -104,7 +104,8 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     if settings.tyre_marks:
         with _layer_of(stage, f"/{take.name}/env/tyre_marks", take, pack, path, Z_UP_METRES) as layer:
             author_tyre_marks(layer, "/tyre_marks", take, pack)
-    if water := write_water(take, folder):
+    at = len(clips) / (len(clips) + 2)
+    if water := write_water(take, folder, lambda share: progress("usd: water", at + share / (len(clips) + 2))):
         prim = UsdGeom.Xform.Define(stage, f"/{take.name}/env/water").GetPrim()
         prim.GetPayloads().AddPayload(pack.relative(water[0], path))
         author_bounds(prim, take.frames)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import vehsim
 from tests.live.test_server import browser, served
 from vehsim import Shot
 from vehsim.errors import InputError
-from vehsim.live.drive import Clock, Sticks, record
+from vehsim.live.drive import Clock, Sticks, affordable_step, record
 from vehsim.shot.motions.sticks import write_sticks
 
 STILL = {"method": "simulate", "duration": 0.25}
@@ -36,12 +37,12 @@ class Hand:
     def sleep(self, seconds):
         self.time += seconds
 
-    def drive(self, shot, clips, since=None):
+    def drive(self, shot, clips, since=None, clock=None):
         """The recording, and the clips that were shown."""
         shown, world = [], shot.world
         self.sticks = Sticks(shot.vehicle(shot.file.vehicle[0]), world.wind)
         show = lambda clip, behind: shown.append((clip, behind))
-        clock = Clock(lambda: self.time, self.sleep)
+        clock = clock or Clock(lambda: self.time, self.sleep)
         return record(shot, "v", clips, show, self.ended, self.sticks, since, clock), shown
 
 
@@ -120,6 +121,41 @@ def test_a_slow_simulation_sets_the_clock_back(tmp_path):
     hand.ended = slow
     made, shown = hand.drive(shot, shot.solve().clips)
     assert made.frames[-1] == 1007 and shown[-1][1] == pytest.approx(66 * 0.02 - 66 / 240, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fps", "step"),
+    [
+        (0.0024, 24, None),  # 240 steps fit
+        (0.004, 24, 1 / 120),
+        (0.004, 25, 1 / 125),
+        (0.006, 24, 1 / 72),
+        (0.1, 30, 1 / 60),  # too slow for any
+    ],
+)
+def test_a_slow_machine_takes_fewer_steps_but_at_least_sixty(seconds, fps, step):
+    assert affordable_step(seconds, Fraction(fps)).get("step") == step
+
+
+def test_a_drive_whose_steps_are_slow_records_its_step(tmp_path):
+    """The clock goes 6 ms further whenever it is read, once in each step of the trial; the recording plays alike."""
+    shot = shot_of(tmp_path, "car", {"method": "simulate", "duration": 1.0})
+    hand = Hand({10: [0.5, 0.2]}, 60)
+
+    class Slow(Clock):
+        def __init__(self):
+            super().__init__(self.read, hand.sleep)
+
+        def read(self):
+            hand.time += 0.006
+            return hand.time
+
+    made, shown = hand.drive(shot, shot.solve().clips, clock=Slow())
+    assert made.motion["step"] == 1 / 72 and np.diff(made.frames) == pytest.approx(24 / 72)
+    again = kept(tmp_path, shot, made).solve().clips["v"]
+    assert np.diff(again.times) == pytest.approx(1 / 72)
+    for clip, _ in shown[:-1]:  # the state that was shown is predicted
+        assert np.abs(again.at(clip.times[-1:]).positions - clip.positions[-1:]).max() < 1e-3
 
 
 def test_a_stick_gives_balance_in_the_middle_and_bounds_at_the_ends(tmp_path):

@@ -190,6 +190,51 @@ def test_the_frame_that_the_planner_found_is_offered(tmp_path):
     assert 1121 < fixes["vehicle[0].motion.mark[1].frame"] < 1145 and len(fixes) == 1
 
 
+def fixed(folder, text):
+    """A session on a shot, after each fix that it offered was applied until none was, and the first problem."""
+    path = folder / "drive.toml"
+    path.write_text(text)
+    session, first = Session(path, folder, lambda *_: None), None
+    session.solve()
+    for _ in range(4):
+        offered = [one for one in session.problems if "fixes" in one]
+        if not offered:
+            break
+        first = first or offered[0]
+        session.fix(Fix(kind="fix", fixes=[list(fix) for fix in offered[0]["fixes"]]))
+    return session, first
+
+
+def test_a_mark_that_was_retimed_past_the_next_one_moves_the_later_ones(tmp_path):
+    session, first = fixed(tmp_path, SHOT.replace("frame = 1073", "frame = 1090") + LAST)
+    assert "not after frame 1090" in first["text"] and session.solved
+    frames = [mark["frame"] for mark in session.document.data["vehicle"][0]["motion"]["mark"]]
+    assert frames[:2] == [1001, 1090] and frames[2] >= 1091
+
+
+HOUSE = '[[world.obstacle]]\nshape = "box"\ncentre = [8, 3, 0]\nsize = [6, 6, 4]\n'
+
+
+@pytest.mark.parametrize("asset, z, terrain", [("car", 0, ""), ("helicopter", 2, ""), ("helicopter", -9, "hills")])
+def test_a_mark_in_an_obstacle_or_rock_is_moved_to_the_nearest_free_place(tmp_path, asset, z, terrain):
+    text = SHOT.replace('asset = "car"', f'asset = "{asset}"').replace("segments = 8", "segments = 32\nclearance = 0.5")
+    text = text.replace("frame = 1073", "frame = 1241").replace(
+        "[0, 0, 0]\nheading", f"[-40, 0, {30 * (z != 0)}]\nheading"
+    )
+    world = f'[world]\nterrain = "{terrain}"\n' if terrain else ""
+    text = text.replace("[[vehicle]]", world + "[[vehicle]]").replace("[8, 1, 0]", f"[8, 1, {z}]")
+    session, first = fixed(tmp_path, text + ("" if terrain else HOUSE))
+    assert ("rock" if terrain else "in obstacle 'box_0'") in first["text"]
+    ((key, place),) = first["fixes"]
+    assert key == "vehicle[0].motion.mark[1].position" and session.solved
+    found = session.document.data["vehicle"][0]["motion"]["mark"][1]["position"]
+    assert found == place
+    if asset == "car":  # out through the side that is nearest to [8, 1]: y = 0, half a car away
+        assert place == pytest.approx([8, -0.5 - 0.25 - 1.8 / 2, 0], abs=0.25)
+    else:
+        assert place[:2] == [8, 1] and place[2] > z
+
+
 def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
     path = tmp_path / "drive.toml"
     path.write_text(SHOT.replace("frame = 1073", "frame = 1010"))
@@ -244,7 +289,7 @@ DRAGGED = {
 
 @pytest.mark.parametrize("kind", DRAGGED)
 def test_marks_of_every_kind_are_dragged(kind, tmp_path):
-    from vehsim.live.messages import Moved
+    from vehsim.live.messages import Drag
     from vehsim.live.session import Session
 
     asset, world, (x, y, z), mark = DRAGGED[kind]
@@ -260,6 +305,6 @@ def test_marks_of_every_kind_are_dragged(kind, tmp_path):
     assert session.solved, session.problems
     session.prepare()
     place = (x + 0.5, y - 0.5, z)
-    session.drag(Moved(kind="drag", key="vehicle[0].motion.mark[1].position", position=place))
+    session.drag(Drag(key="vehicle[0].motion.mark[1].position", position=place))
     reached = session._drafts["one"].draft.clip().positions[-1, :2]
     assert abs(reached - place[:2]).max() <= (0.5 if "tolerance" in mark else 1e-3)

@@ -21,7 +21,7 @@ from vehsim import Shot
 from vehsim.errors import InputError
 from vehsim.live import server as live_server
 from vehsim.live import session as live_session
-from vehsim.live.messages import Moved
+from vehsim.live.messages import Drag, Place
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 
@@ -392,6 +392,107 @@ def test_a_shot_that_is_not_solved_has_marks_to_drag(tmp_path):
     asyncio.run(play())
 
 
+def slowly(monkeypatch, began):
+    """Solves take half a second more, can be interrupted, and are counted."""
+    solve = Shot.solve
+
+    def slow(self, progress, **how):
+        began.append(self.file.shot.end_frame)
+        for _ in range(50):
+            progress("solving", 0.0)
+            time.sleep(0.01)
+        return solve(self, progress, **how)
+
+    monkeypatch.setattr(Shot, "solve", slow)
+
+
+CLEARANCE = "vehicle[0].motion.clearance"
+
+
+def test_changes_that_wait_are_solved_once(path, monkeypatch):
+    began = []
+    slowly(monkeypatch, began)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            first = len(began)
+            for k in range(20):
+                await page.send(kind="change", key=CLEARANCE, value=0.5 + k / 100)
+            state = await page.until("state", lambda message: message["solved"] and message["changed"])
+            assert next(one["value"] for one in state["settings"] if one["key"] == CLEARANCE) == 0.69
+            assert len(began) - first <= 3
+            for _ in range(20):
+                await page.send(kind="undo")
+            await page.until("state", lambda message: message["solved"] and not message["undo"])
+
+    asyncio.run(play())
+
+
+def test_saving_and_exporting_during_a_solve_do_not_end_it(path, monkeypatch):
+    """What is said comes after the state, so that the page still shows it."""
+    began = []
+    slowly(monkeypatch, began)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            first = len(began)
+            await page.send(kind="change", key=CLEARANCE, value=0.6)
+            await page.until("progress")
+            await page.send(kind="save")
+            await page.send(kind="export")
+            said = await page.until("said")
+            assert said["text"] == "saved drive.toml" and page.seen[-2] == "state"
+            assert page.last["state"]["solved"] and not page.last["state"]["changed"]
+            assert "exported" in (await page.until("said"))["text"] and len(began) == first + 1
+            await page.send(kind="change", key=CLEARANCE, value=0.7)
+            await page.send(kind="delete_mark", vehicle="car", mark=7)
+            assert "no such mark" in (await page.until("refused"))["text"] and page.seen[-2] == "state"
+            await page.until("state", lambda message: message["solved"])  # the refused change has interrupted it
+
+    asyncio.run(play())
+
+
+def test_others_see_the_solved_motion_when_a_browser_leaves_in_a_drag(path):
+    async def play():
+        async with served(path) as address, browser(address) as first:
+            await first.until("state", lambda message: message["solved"])
+            async with browser(address) as second:
+                scene = await second.until("scene")
+                await first.send(**moved("drag", 8.0, 1.4))
+                draft = await second.until("draft")
+                assert points(draft)[-1] == pytest.approx([8, 1.4, 0], abs=1e-4)
+                await first.socket.close()
+                motion = await second.until("motion")
+                assert (points(motion) == points(scene)).all()
+                state = await second.until("state", lambda message: message["solved"])
+                assert not state["changed"]
+        assert path.read_text() == SHOT
+
+    asyncio.run(play())
+
+
+def test_the_session_ends_while_its_scene_is_made(path, monkeypatch):
+    """Such as that of a boat in a sea, which takes a while; its browser is busy, too."""
+    made = []
+
+    def forever(take, *_, progress, **how):
+        made.append(take)
+        while True:
+            progress("usd", 0.5)
+            time.sleep(0.01)
+
+    monkeypatch.setattr("vehsim.delivery.take.Take.export", forever)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("progress", lambda message: message["text"] == "usd")
+
+    asyncio.run(asyncio.wait_for(play(), PATIENCE))
+    assert made
+
+
 def test_nothing_that_is_sent_ends_the_session(path):
     """Every malformed message is answered; the last, good one still works."""
     good = moved("drag", 8.0, 1.2)
@@ -595,7 +696,7 @@ def test_a_hurried_flight_on_few_segments_is_dragged(tmp_path):
     assert session.solve() is not None
     assert session.take.report["vehicles"]["helicopter"]["character"] == "stunt"
     for x in (60.0, 59.5):
-        assert session.drag(Moved(kind="drag", key=MARK, position=[x, 10, 30])) is not None
+        assert session.drag(Drag(key=MARK, position=[x, 10, 30])) is not None
         assert session._drafts["helicopter"].draft.clip().positions[-1] == pytest.approx([x, 10, 30], abs=1e-3)
 
 
@@ -621,8 +722,8 @@ def test_far_from_the_origin_everything_is_drawn_as_near_it(tmp_path):
         scene = Block(session.scene())
         origin = np.array(scene.header["origin"])
         place = [*(np.array([8.0, 1.5, 0.0]) + offset)]
-        draft = Block(session.drag(Moved(kind="drag", key=MARK, position=place)))
-        motion = Block(session.place(Moved(kind="place", key=MARK, position=place)))
+        draft = Block(session.drag(Drag(key=MARK, position=place)))
+        motion = Block(session.place(Place(key=MARK, position=place)))
         assert session.document.data["vehicle"][0]["motion"]["mark"][1]["position"] == place
         session.close()
         drawn[name] = [

@@ -79,6 +79,7 @@ class UsdSettings:
     adds a variant with the fewest keys within this tolerance. ``curves`` (m, degrees): adds a variant with splines
     within these tolerances. ``clip_frames``: value clips of that many frames.
     ``layer_only``: write only the vehicles' animation layers. ``tyre_marks``: those of sliding tyres on the ground.
+    ``spray``: with the water's spray, which takes nearly half of its time.
     """
 
     up_axis: str = "Z"
@@ -92,6 +93,7 @@ class UsdSettings:
     layer_only: bool = False
     tyre_marks: bool = True
     versions: bool = False
+    spray: bool = True
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ when the shot is saved, and continues an interrupted session when the shot is op
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -14,12 +13,11 @@ from typing import Any
 
 from vehsim.errors import InputError
 from vehsim.intake.toml import read_toml
+from vehsim.live.settings import KEY
 from vehsim.runtime.files import replacing_file
 
 AUTOSAVE = ".autosave"
 """Suffix of the autosave of ``shot.toml``: ``shot.toml.autosave``."""
-KEY = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
-"""A part of a dotted key: a name, or an index in brackets."""
 
 
 class Document:

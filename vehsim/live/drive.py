@@ -9,8 +9,10 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -43,6 +45,12 @@ LATE = 0.1
 """How far a slow simulation may be behind the clock before the clock waits for it, s."""
 SHARE = 0.3
 """Largest share of the time that pictures take from the simulation."""
+SLOWER = (120, 60)
+"""Steps per second, at least, that a drive falls back to where its default is too many for this machine."""
+TRIED = 24
+"""Steps that are timed before a drive."""
+BUSY = 0.6
+"""Largest share of the time that steps may take in a trial: pictures and other programs need the rest."""
 START_DECIMALS = 6
 """Decimals of a start that is taken from a planned motion."""
 SETTLED = 3
@@ -151,6 +159,27 @@ class Driver:
         elif late > LATE:
             self._started += late
             self.behind += late
+
+
+class Trial:
+    """A law that lets the simulation take some steps, and times them."""
+
+    blind = True
+
+    def __init__(self, sticks: Sticks, clock: Clock) -> None:
+        self._sticks, self._clock = sticks, clock
+        self._knots: list[float] = []
+
+    def __call__(self, t: float, state: State) -> Array:
+        self._knots.append(self._clock.now())
+        if len(self._knots) > TRIED:
+            raise Stopped
+        return self._sticks.controls(state)
+
+    @property
+    def seconds(self) -> float:
+        """The median time of a step, s."""
+        return float(np.median(np.diff(self._knots))) if len(self._knots) > 1 else 0.0
 
 
 class Window:
@@ -283,6 +312,11 @@ def record(
     clock, header = clock or Clock(), shot.file.shot
     table: Any = next(table for table in shot.file.vehicle if table.name == name)
     vehicle, keys = shot.vehicle(table), _start_of(table.motion, clips[name], shot.world)
+    if since is None and "step" not in keys:
+        trial = Trial(sticks, clock)
+        with suppress(Stopped, SolveError):
+            _simulate(shot, name, clips, keys, trial)
+        keys |= affordable_step(trial.seconds, shot.fps)
     context = Context(shot.world, shot.fps, header.first, header.last, shot.folder)
     window = Window(vehicle, shot.world, shot.fps, header.first)
     due = clock.now()
@@ -296,19 +330,9 @@ def record(
 
     before = None if since is None else table.motion.controls(vehicle, context)
     driver = Driver(sticks, passed, ended, before, -1.0 if since is None else context.seconds(since), clock)
-    motions: dict[str, Any] = {other: KnownMotion(clip) for other, clip in clips.items()}
-    for other in shot.file.vehicle:
-        if isinstance(other.motion, ForwardMotion) and shot.world.contact is not None:
-            motions[other.name] = other.motion  # it feels the driven one
-    motions[name] = DrivenMotion(**keys, file="-", driver=driver)
-    tables = [other.model_copy(update={"motion": motions[other.name]}) for other in shot.file.vehicle]
-    driven = Shot(shot.file.model_copy(update={"vehicle": tables}), shot.folder)
-    vars(driven)["world"] = shot.world
     problem = None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the solve of the recording gives them
-            driven.solve(checked=True, cached=False)
+        _simulate(shot, name, clips, keys, driver)
     except Stopped:
         pass
     except SolveError as error:  # the step after the last row
@@ -320,6 +344,32 @@ def record(
     if whole.sum() < 2:
         raise InputError("nothing was recorded", "drive for at least one frame", key=name)
     return Recording(keys, frames[whole], np.array(driver.rows)[whole], problem)
+
+
+def _simulate(shot: Shot, name: str, clips: Mapping[str, Clip], keys: Mapping[str, Any], law: Any) -> None:
+    """Simulate the vehicle ``name`` under ``law`` in the shot's world, among the other vehicles' present motion."""
+    motions: dict[str, Any] = {other: KnownMotion(clip) for other, clip in clips.items()}
+    for other in shot.file.vehicle:
+        if isinstance(other.motion, ForwardMotion) and shot.world.contact is not None:
+            motions[other.name] = other.motion  # it feels the driven one
+    motions[name] = DrivenMotion(**keys, file="-", driver=law)
+    tables = [other.model_copy(update={"motion": motions[other.name]}) for other in shot.file.vehicle]
+    driven = Shot(shot.file.model_copy(update={"vehicle": tables}), shot.folder)
+    vars(driven)["world"] = shot.world
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the solve of the recording gives them
+        driven.solve(checked=True, cached=False)
+
+
+def affordable_step(seconds: float, fps: Fraction) -> dict[str, float]:
+    """The key ``step`` of a recording whose steps take ``seconds`` each on this machine: empty for the default.
+
+    Steps that are chosen divide a frame.
+    """
+    if seconds <= BUSY * ForwardMotion.model_fields["step"].default:
+        return {}
+    steps = [1 / float(fps * ceil(rate / fps)) for rate in SLOWER]
+    return {"step": next((step for step in steps if seconds / step <= BUSY), steps[-1])}
 
 
 def _start_of(motion: Any, clip: Clip, world: Any) -> dict[str, Any]:

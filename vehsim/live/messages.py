@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -11,6 +11,7 @@ from vehsim.shot.schema.tables import NOTE
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-36_000, le=36_000, allow_inf_nan=False)]
+Point = Annotated[list[Coordinate], Field(min_length=2, max_length=4)]
 Key = Annotated[str, Field(max_length=200)]
 """A dotted key of the shot file."""
 Frame = Annotated[int, Field(ge=-1_000_000, le=1_000_000)]
@@ -21,23 +22,40 @@ class _Message(BaseModel):
 
 
 class Moved(_Message):
-    """A handle at another place: ``drag`` while the button is down, ``place`` on release.
+    """A handle at another place.
 
     ``key``: that of the handle; ``heading`` in degrees, None if it was not turned; ``frame``: None if it was not
     retimed.
     """
 
-    kind: Literal["drag", "place"]
     key: Key
     position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
     heading: Angle | None = None
     frame: Frame | None = None
 
 
-class Pressed(_Message):
-    """A button without parameters."""
+class Drag(Moved):
+    """While the button is down."""
 
-    kind: Literal["undo", "redo", "save", "export", "stop"]
+    kind: Literal["drag"] = "drag"
+
+
+class Place(Moved):
+    """On release."""
+
+    kind: Literal["place"] = "place"
+
+
+class Step(_Message):
+    """To another state of the file's history."""
+
+    kind: Literal["undo", "redo"]
+
+
+class Pressed(_Message):
+    """A button without parameters that does not change the file."""
+
+    kind: Literal["save", "export", "stop"]
 
 
 class Change(_Message):
@@ -52,7 +70,7 @@ class Fix(_Message):
     """What a problem offers to set: keys and values, all in one step."""
 
     kind: Literal["fix"]
-    fixes: Annotated[list[list[bool | int | Coordinate | Key]], Field(min_length=1, max_length=1000)]
+    fixes: Annotated[list[list[bool | int | Coordinate | Key | Point]], Field(min_length=1, max_length=1000)]
 
 
 class AddMark(_Message):
@@ -130,10 +148,15 @@ class MoveSticks(_Message):
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Edit = Change | Fix | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged | UseRecording
+Edit = Place | Change | Fix | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged | UseRecording | Step
 """What changes the file; the session has a method of each kind's name."""
-Message = Moved | Pressed | Edit | TakeControls | Compare | MoveSticks
+Message = Drag | Pressed | Edit | TakeControls | Compare | MoveSticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])
+
+
+def kinds_of(messages: Any) -> list[str]:
+    """The kinds of a union of messages."""
+    return [kind for message in get_args(messages) for kind in get_args(message.model_fields["kind"].annotation)]
 
 
 def parse(text: str | bytes) -> Message:

@@ -12,6 +12,7 @@ import json
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -21,7 +22,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vehsim.errors import InputError, VehsimError
 from vehsim.exporters.web.html import PAGE, page
-from vehsim.live.messages import Compare, Edit, Message, Moved, MoveSticks, TakeControls, parse
+from vehsim.live.messages import Compare, Drag, Edit, Message, MoveSticks, TakeControls, kinds_of, parse
 from vehsim.live.session import Session, Superseded
 from vehsim.runtime.registry import whose_error
 
@@ -38,6 +39,8 @@ MOST = 256 * 2**20
 """What may wait for a browser that does not read, bytes; then it is disconnected; if it returns, it sees everything."""
 SILENT = 120.0
 """Time after which a browser that answers no ping has gone, s."""
+PARTING = 1.0
+"""Time for a browser to answer when the server ends, s."""
 PASSING = ("progress", "draft", "iterate", "preview", "live")
 """Kinds of messages of which a slow browser needs only the newest."""
 OWN = Path(__file__).parent / "page"
@@ -59,9 +62,11 @@ class Server:
         self._browsers: list[Browser] = []
         self._scene: bytes | None = None
         self._told_motion = False
-        self._drag: tuple[Moved, Browser] | None = None
+        self._drag: tuple[Drag, Browser] | None = None
+        self._dragging: Browser | None = None
+        """The browser that holds a handle."""
         self._wake = asyncio.Event()
-        self._jobs: list[Callable[[], Awaitable[None]]] = []
+        self._jobs: list[Job] = []
         self._told = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -72,16 +77,18 @@ class Server:
         self._loop = asyncio.get_running_loop()
         serving = serve(
             self._connected, self._host, self._port, process_request=self._answer, max_size=MAX_MESSAGE,
-            compression=None, ping_timeout=SILENT,
+            compression=None, ping_timeout=SILENT, close_timeout=PARTING,
         )  # fmt: skip
         try:
             async with serving as server:
-                port = next(iter(server.sockets)).getsockname()[1]
-                query = f"?token={self._token}" if self._token else ""
-                ready(f"http://{self._host}:{port}/{query}")
-                await self._work()
+                try:
+                    port = next(iter(server.sockets)).getsockname()[1]
+                    query = f"?token={self._token}" if self._token else ""
+                    ready(f"http://{self._host}:{port}/{query}")
+                    await self._work()
+                finally:
+                    self._session.end()  # at once: parting from the browsers takes a while
         finally:
-            self._session.superseded.set()
             self._thread.shutdown(wait=True, cancel_futures=True)
             self._session.close()
 
@@ -123,7 +130,7 @@ class Server:
         sending = asyncio.create_task(browser.send())
         self._roles()
         if self._told_motion:
-            self._queue(partial(self._show, browser))
+            self._queue(Job(partial(self._show, browser)))
         elif self._scene is not None:  # else the first solve, which still runs, shows it the scene
             browser.tell(self._scene)
         browser.tell(self._session.state)
@@ -135,8 +142,9 @@ class Server:
             sending.cancel()
             self._browsers.remove(browser)
             self._roles()
-            if self._session.take is not None and not self._session.solved:  # it left in the middle of a drag
-                self._queue(partial(self._solve, self._session.solve))
+            if self._dragging is browser:  # the others see what was dragged
+                self._drag = self._dragging = None
+                self._queue(Job(partial(self._solve, self._session.solve)))
 
     def _received(self, browser: Browser, text: str | bytes) -> None:
         try:
@@ -147,21 +155,22 @@ class Server:
             browser.tell({"kind": "refused", "text": str(error)})
             return
         if isinstance(message, MoveSticks):
-            with suppress(InputError):  # those of a drive that has just ended
-                if self._session.sticks is not None:
-                    self._session.sticks.move(message.values)
-            return
-        if isinstance(message, Moved) and message.kind == "drag":
+            self._session.move_sticks(message)
+        elif isinstance(message, Drag):
             self._drag = message, browser  # an older one that has not begun is of no use any more
+            self._dragging = browser
+            if self._session.take is not None:  # a drag needs a solved motion, so it waits for the first
+                self._session.superseded.set()
             self._wake.set()
         else:
-            self._drag = None
-            self._queue(partial(self._do, message))
-        if self._session.take is not None or self._jobs:  # a drag needs a solved motion, so it waits for the first
-            self._session.superseded.set()
+            self._drag = self._dragging = None
+            action = ACTIONS[message.kind]
+            self._queue(Job(partial(self._do, action, message), action.supersedes))
 
-    def _queue(self, job: Callable[[], Awaitable[None]]) -> None:
+    def _queue(self, job: Job) -> None:
         self._jobs.append(job)
+        if job.supersedes:
+            self._session.superseded.set()
         self._wake.set()
 
     def _roles(self) -> None:
@@ -196,63 +205,72 @@ class Server:
     # ------------------------------------------------------------ work
 
     async def _work(self) -> None:
-        """Do what was requested, one after the other; a drag only if nothing else waits."""
+        """Do what was requested, one after the other; then draw a drag, or solve what was interrupted."""
         await self._solve(self._session.solve)
         while True:
             await self._wake.wait()
             self._wake.clear()
-            while self._jobs or self._drag:
-                if self._jobs:
+            while self._jobs or self._drag or (self._session.interrupted and self._dragging is None):
+                job = self._jobs.pop(0) if self._jobs else None
+                if not any(one.supersedes for one in self._jobs):
                     self._session.superseded.clear()
-                    await self._jobs.pop(0)()
+                if job is not None:
+                    await job.run()
                 elif self._drag:
                     (message, browser), self._drag = self._drag, None
                     await self._dragged(message, browser)
+                else:
+                    await self._solve(self._session.solve)
 
-    async def _do(self, message: Message) -> None:
-        session, document = self._session, self._session.document
+    async def _do(self, action: Action, message: Message) -> None:
+        """Act on a message, and tell the browsers the new state, then how it went."""
         try:
-            if isinstance(message, Moved):
-                await self._solve(lambda: session.place(message))
-            elif isinstance(message, TakeControls):
-                await self._drive(message)
-            elif isinstance(message, Compare):
-                self._tell(await self._in_thread(partial(session.compare, message)))
-            elif isinstance(message, Edit):
-                change = getattr(session, message.kind)
-                await self._solve(lambda: change(message))
-            elif message.kind == "stop":  # its arrival has ended the drive
-                return
-            elif message.kind in ("undo", "redo"):
-                getattr(document, message.kind)()
-                await self._solve(session.solve)
-            elif message.kind == "save":
-                document.save()
-                self._tell({"kind": "said", "text": f"saved {document.path.name}"})
-            else:
-                folder = await self._in_thread(session.export)
-                self._tell({"kind": "said", "text": f"exported {folder}"})
+            if action.solved and self._session.interrupted:
+                await self._solve(self._session.solve)
+            said = await action.run(self, message)
+            answer = said and {"kind": "said", "text": said}
         except VehsimError as error:
-            self._tell({"kind": "refused", "text": str(error)})
+            answer = {"kind": "refused", "text": str(error)}
         except OSError as error:
-            self._tell({"kind": "refused", "text": _described(error)})
-        self._tell(session.state)
+            answer = {"kind": "refused", "text": _described(error)}
+        self._tell(self._session.state)
+        if answer:
+            self._tell(answer)
+
+    async def _edit(self, message: Message) -> None:
+        change = getattr(self._session, message.kind)
+        await self._solve(lambda: change(message))
+
+    async def _save(self, message: Message) -> str:
+        self._session.document.save()
+        return f"saved {self._session.document.path.name}"
+
+    async def _export(self, message: Message) -> str:
+        return f"exported {await self._in_thread(self._session.export)}"
+
+    async def _compare(self, message: Compare) -> None:
+        self._tell(await self._in_thread(partial(self._session.compare, message)))
+
+    async def _stop(self, message: Message) -> None:
+        """Its arrival has ended the drive."""
 
     async def _solve(self, solve: Callable[[], bytes | None]) -> None:
         """Solve and show the result, or say why there is none."""
         self._tell({"kind": "progress", "text": "solving", "done": 0.0})
+        refused, block = None, None
         try:
             block = await self._in_thread(solve)
         except Superseded:
             return
         except VehsimError as error:
-            self._tell({"kind": "refused", "text": str(error)})
-            block = None
+            refused = {"kind": "refused", "text": str(error)}
         if block is not None:
             self._told_motion = True
             self._tell_block(block)
             await self._compared(self._tell)
         self._tell(self._session.state)
+        if refused is not None:
+            self._tell(refused)
         if self._session.solved and not (self._jobs or self._drag):
             with suppress(VehsimError):
                 await self._in_thread(self._session.prepare)
@@ -289,7 +307,7 @@ class Server:
             with suppress(VehsimError):
                 tell(await self._in_thread(self._session.comparison))
 
-    async def _dragged(self, message: Moved, browser: Browser) -> None:
+    async def _dragged(self, message: Drag, browser: Browser) -> None:
         began = monotonic()
         try:
             block = await self._in_thread(lambda: self._session.drag(message))
@@ -310,6 +328,37 @@ class Server:
             raise VehsimError(_described(error)) from error
         except Exception as error:
             raise VehsimError(f"{type(error).__name__}: {error}; this is {whose_error(error)}") from error
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the server does when its turn comes. ``supersedes``: it makes the present solve pointless."""
+
+    run: Callable[[], Awaitable[None]]
+    supersedes: bool = False
+
+
+@dataclass(frozen=True)
+class Action:
+    """What the server does with a message, and the text that it answers, if any.
+
+    ``supersedes``: it makes the present solve pointless; ``solved``: a solve that was interrupted comes first.
+    """
+
+    run: Callable[[Server, Any], Awaitable[str | None]]
+    supersedes: bool = False
+    solved: bool = False
+
+
+ACTIONS = {
+    **dict.fromkeys(kinds_of(Edit), Action(Server._edit, supersedes=True)),
+    "drive": Action(Server._drive, supersedes=True, solved=True),
+    "stop": Action(Server._stop),
+    "compare": Action(Server._compare),
+    "save": Action(Server._save),
+    "export": Action(Server._export, solved=True),
+}
+"""Kind of message -> what the server does; drags and sticks are not queued."""
 
 
 class Browser:

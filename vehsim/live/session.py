@@ -44,6 +44,9 @@ from vehsim.live.messages import (
     Fix,
     KeepDragged,
     Moved,
+    MoveSticks,
+    Place,
+    Step,
     TakeControls,
     UseRecording,
 )
@@ -91,7 +94,10 @@ class Session:
         self.document = Document(path)
         self.out = out
         self.superseded = threading.Event()
-        """Set it to stop the present solve at its next iteration."""
+        """Set it to stop the present solve at its next iteration; clear it before the next one."""
+        self.interrupted = False
+        """Whether the last solve was stopped by it."""
+        self._ending = threading.Event()
         self.shot: Shot | None = None
         self.take: Take | None = None
         self.problems: list[dict[str, Any]] = []
@@ -122,6 +128,11 @@ class Session:
         """A text, and the motion of vehicles that was drawn before it was solved."""
         self._kinematics: Kinematics | None = None
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")
+
+    def end(self) -> None:
+        """Stop what is done, also in another thread: the session ends."""
+        self._ending.set()
+        self.superseded.set()
 
     def close(self) -> None:
         self._scenes.cleanup()
@@ -186,8 +197,7 @@ class Session:
         """
         from vehsim.shot.shot import Shot
 
-        self.superseded.clear()
-        text = self.document.text
+        text, self.interrupted = self.document.text, False
         self.settings, self.handles = settings(self.document.data), []
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -201,7 +211,11 @@ class Session:
                 self.settings = settings(self.document.data, variants)
                 self.shot, self.handles = shot, handles(self.document.data)
                 self._drawing = monotonic() + WAIT
+                self._progress("solving", 0.0)
                 take = shot.solve(Watching(self._progress, self._show_iterate))
+            except Superseded:
+                self.interrupted = True
+                raise
             except VehsimError as error:
                 self.problems = [_described(problem) for problem in error.problems]
                 return None if self.take or self.shot is None else self._preview()
@@ -216,10 +230,10 @@ class Session:
 
         take = self._on_screen
         assert take is not None
-        self._progress("drawing", 0.0)
+        self._draws("drawing", 0.0)
         self._scenes.cleanup()
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")  # USD remembers the layers of an open path
-        folder = take.export(self._scenes.name, to=("usd",))
+        folder = _plain(take).export(self._scenes.name, to=("usd",), progress=self._draws)
         stage = StageReader(folder / f"{take.name}.usda", moving=movable(take))
         self._kinematics = Kinematics(take, stage)
         self._drawn_handles = {handle.key: handle for handle in self._solved_handles}
@@ -263,7 +277,7 @@ class Session:
         """Export the solved motion as ``vehsim export`` does; returns its folder. Raises ``InputError``."""
         if not self.solved or self.take is None:
             raise InputError("not solved", "fix what the page says, then export")
-        return self.take.export(self.out, to=("usd", "html"))
+        return self.take.export(self.out, to=("usd", "html"), progress=self._draws)
 
     # ------------------------------------------------------------ drag
 
@@ -292,13 +306,13 @@ class Session:
         self._dragged = moved
         return draft_block(replace(self.take, clips={**self.take.clips, **clips}), self._kinematics, list(clips))
 
-    def place(self, moved: Moved) -> bytes | None:
+    def place(self, moved: Place) -> bytes | None:
         """Write a handle's new place into the document and `solve`."""
         handle = self._handle(moved)
         drawn = {}
         if self._dragged is not None and self._dragged.key == moved.key:
             with suppress(VehsimError):  # a drag that ended elsewhere is drawn to its end, to be compared
-                if self._dragged != moved.model_copy(update={"kind": "drag"}):
+                if self._dragged.model_dump(exclude={"kind"}) != moved.model_dump(exclude={"kind"}):
                     self.drag(moved)
                 drawn = {table.name: self._drafts[table.name].draft.clip() for table in self._following(handle)}
         self._dragged = None
@@ -333,6 +347,16 @@ class Session:
             self.problems.append({"text": text, **offer})
 
     # ------------------------------------------------------------ change
+
+    def undo(self, step: Step) -> bytes | None:
+        """Go back to the state of the file before the last change, and `solve`."""
+        self.document.undo()
+        return self.solve()
+
+    def redo(self, step: Step) -> bytes | None:
+        """Go to the state of the file before `undo`, and `solve`."""
+        self.document.redo()
+        return self.solve()
 
     def change(self, change: Change) -> bytes | None:
         """Set one of the ``settings`` and `solve`."""
@@ -456,12 +480,20 @@ class Session:
         path = self._unused(f"{self.document.path.stem}.{name}")
         write_sticks(path, vehicle, made.frames, made.controls)
         self.document.put(f"vehicle[{at}].motion", {**made.motion, "file": path.name})
+        if not self._ending.is_set():
+            self.superseded.clear()  # what ended the drive waits until the recording is complete
         shown = self.solve()
         if self.solved:
             self.take.clips[name].save(path)
         if made.problem is not None:
             self.problems.append({"text": f"the simulation ended: {made.problem}"})
         return shown
+
+    def move_sticks(self, moved: MoveSticks) -> None:
+        """Move the sticks of the present drive; those of a drive that has just ended have no effect."""
+        sticks = self.sticks
+        if sticks is not None and len(moved.values) == len(sticks.values):
+            sticks.move(moved.values)
 
     def use_recording(self, wanted: UseRecording) -> bytes | None:
         """Make another recording of a driven vehicle its motion, and `solve`."""
@@ -535,6 +567,12 @@ class Session:
             self._show(scene)
         self._tell(what, done)
 
+    def _draws(self, what: str, done: float) -> None:
+        """Report the progress of a scene, which a newer request does not interrupt: drags need one."""
+        if self._ending.is_set():
+            raise Superseded
+        self._tell(what, done)
+
     def _reuse_world(self, shot: Shot) -> None:
         """Keep the world, whose terrain and distances take seconds to load, as far as its table is the same."""
         from vehsim.shot.world.obstacle_tables import standing
@@ -597,6 +635,12 @@ class Session:
         if not now.success:
             raise InputError(now.reason or "no motion was found", subject=name)
         return now
+
+
+def _plain(take: Take) -> Take:
+    """A take whose stage contains only what the page shows."""
+    form = replace(take.usd, thin=None, curves=None, clip_frames=None, layer_only=False, versions=False, spray=False)
+    return replace(take, usd=form)
 
 
 def _described(problem: Problem) -> dict[str, Any]:

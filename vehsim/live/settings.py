@@ -15,6 +15,8 @@ from typing import Any
 from vehsim.intake.tables import PLACE
 
 KINDS = ("number", "integer", "boolean")
+KEY = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+"""A part of a dotted key: a name, or an index in brackets."""
 DECIMALS = 3
 """Decimals of what is dragged: mm, and thousandths of a degree."""
 Change = tuple[str, Any]
@@ -26,6 +28,8 @@ class Setting:
     """One value: its dotted ``key``, the present ``value`` or None, the ``default``, and what it may be."""
 
     key: str
+    table: str
+    """What its table is called on the page, such as ``vehicle car, motion, mark 2 at 1085``."""
     kind: str
     """number, integer, boolean or choice"""
     value: Any
@@ -113,7 +117,7 @@ def _shifted(value: Any, by: Sequence[float]) -> Any:
 def settings(data: Mapping[str, Any], variants: Sequence[Mapping[str, list[str]]] = ()) -> list[Setting]:
     """Those of the tables that a shot file has. ``variants``: variant set -> variants, of each vehicle in order."""
     found = [
-        _setting(leaf.key, leaf.about, leaf.forms[0], leaf.table.get(leaf.name))
+        _setting(leaf.key, _title(leaf.key, data), leaf.about, leaf.forms[0], leaf.table.get(leaf.name))
         for leaf in _leaves("", _schema(), data)
         if leaf.forms and _kind(leaf.forms[0])
     ]
@@ -121,7 +125,9 @@ def settings(data: Mapping[str, Any], variants: Sequence[Mapping[str, list[str]]
         given = data["vehicle"][k].get("variants", {})
         for name, choices in sets.items():
             key, value = f"vehicle[{k}].variants.{name}", given.get(name)
-            found.append(Setting(key, "choice", value, None, "a variant of the asset", choices=tuple(choices)))
+            found.append(
+                Setting(key, _title(key, data), "choice", value, None, "a variant of the asset", choices=tuple(choices))
+            )
     return found
 
 
@@ -202,10 +208,26 @@ def _kind(node: Mapping[str, Any]) -> str:
     return node["type"] if node.get("type") in KINDS else ""
 
 
-def _setting(key: str, about: Mapping[str, Any], node: Mapping[str, Any], value: Any) -> Setting:
+def _title(key: str, data: Any) -> str:
+    """What the table of a dotted key is called: tables in lists by their names, or else by number and frame."""
+    found: list[str] = []
+    for name, index in KEY.findall(key.rpartition(".")[0]):
+        if name:
+            data = data.get(name) if isinstance(data, Mapping) else None
+            found.append(name)
+            continue
+        data = data[int(index)] if isinstance(data, list) else {}
+        frame = f" at {data['frame']}" if isinstance(data, Mapping) and "frame" in data else ""
+        own = data.get("name") if isinstance(data, Mapping) else None
+        found[-1] += f" {own or int(index) + 1}{frame}"
+    return ", ".join(found) or "file"
+
+
+def _setting(key: str, table: str, about: Mapping[str, Any], node: Mapping[str, Any], value: Any) -> Setting:
     default = about.get("default")
     return Setting(
         key=key,
+        table=table,
         kind=_kind(node),
         value=value,
         default=default if isinstance(default, bool | int | float | str) else None,

@@ -144,8 +144,10 @@ def check_order(marks: list[MarkTable], context: Context) -> Iterator[Problem]:
                 key, "outside the shot", f"the shot runs from frame {context.first}{end}, handles included", frame
             )
         if leave is not None and frame <= leave:
-            message = f"not after frame {leave} of the mark before it"
-            yield Problem(key, message, "put the marks in order of time", frame)
+            message, later = f"not after frame {leave} of the mark before it", leave + 1 - frame
+            rest = [(f"mark[{k}].frame", one.given_frame) for k, one in enumerate(marks) if k >= i]
+            fixes = tuple((name, given + later) for name, given in rest if given is not None)
+            yield Problem(key, message, "put the marks in order of time", frame, fixes=fixes)
         leave = frame + mark.hold
     frames = [mark.given_frame for mark in marks if mark.given_frame is not None]
     if frames and max(frames) - min(frames) > MAX_FRAMES:

@@ -48,9 +48,9 @@ LOWERED = "lowered"
 """Primvar: by how much the surface was lowered to be hidden inside a hull, m."""
 
 
-def write_water(take: Take, folder: Path) -> list[Path]:
+def write_water(take: Take, folder: Path, progress: Callable[[float], object] = lambda share: None) -> list[Path]:
     """Write ``layers/water.usdc`` below ``folder`` if the take's world has water; returns the files, the layer
-    first."""
+    first. ``progress`` receives the share of the frames that are done."""
     from pxr import Sdf, Usd, UsdGeom, Vt
 
     water = take.world.water
@@ -84,10 +84,11 @@ def write_water(take: Take, folder: Path) -> list[Path]:
     origin = author_origin(mesh, rest.mean(axis=0))
     _set_points(points.Set, extent.Set, rest - origin)
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
-    spray = []
-    for frame, shown in zip(frames.tolist(), surfaces(take, grid, frames), strict=True):
+    spray: list[Drops] = []
+    for k, (frame, shown) in enumerate(zip(frames.tolist(), surfaces(take, grid, frames), strict=True)):
         place, normals, foam, lowered, drops = shown
-        spray.append(drops)
+        progress(k / len(frames))
+        spray += [] if drops is None else [drops]
         points_at, extent_at = (partial(layer.SetTimeSample, each.GetPath(), frame) for each in (points, extent))
         _set_points(points_at, extent_at, place - origin)
         halves = Vt.Vec3hArray.FromNumpy(normals.astype(np.float16))
@@ -96,7 +97,8 @@ def write_water(take: Take, folder: Path) -> list[Path]:
             halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
             layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
         set_foam(layer, "/water/surface", frame, patches(grid.xy.T, foam, grid.cells))
-    author_spray(stage, frames, spray, rest.mean(axis=0))
+    if take.usd.spray:
+        author_spray(stage, frames, spray, rest.mean(axis=0))
     layer.Save()
     return [path, picture]
 
@@ -112,13 +114,13 @@ def _set_points(points: Callable[[Any], Any], extent: Callable[[Any], Any], plac
 
 class Shown(NamedTuple):
     """The surface in a frame: ``points`` (n, 3) m, unit ``normals`` (n, 3), ``foam`` (n,), how far the points were
-    `LOWERED` (n,) m, and the spray above."""
+    `LOWERED` (n,) m, and the spray above, if it was wanted."""
 
     points: Array
     normals: Array
     foam: Array
     lowered: Array
-    drops: Drops
+    drops: Drops | None
 
 
 def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
@@ -133,10 +135,10 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
     start = min((clip.start_frame for clip in take.clips.values()), default=take.frames[0])
     breaking = _breaking(take)
     sea, whitecaps = _undisturbed(water, grid), None if breaking is None else _whitecaps(take, grid, breaking)
-    spray = Spray(afloat, water, breaking, grid, take.world.wind, start, fps)
+    spray = Spray(afloat, water, breaking, grid, take.world.wind, start, fps) if take.usd.spray else None
     for k, (frame, raised) in enumerate(zip(frames.tolist(), wakes, strict=True)):
         points = sea((frame - start) / fps)
-        drops = spray.at(frame, points)
+        drops = None if spray is None else spray.at(frame, points)
         if raised is not None:
             points[:, 2] += raised(points[:, :2])
         normals = grid.normals(points)

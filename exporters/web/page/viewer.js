@@ -697,7 +697,7 @@ const vehsim = {};
       select("cameras", "view", [[-1, "orbit"], ...views], this.through, (value) => this.lookThrough(Number(value)));
       const followed = this.vehicles.map((name) => [name, name]);
       this.follow = this.vehicles[0] || "";
-      select("follow", "follow", [["", "nothing"], ...followed], this.follow, (value) => (this.follow = value));
+      select("follow", "follow", [["", "nothing"], ...followed], this.follow, (value) => { this.follow = value; this.timeline.build(); });
       if (this.curves.length) {
         const names = this.curves.map((curve, k) => [k, this.vehicles.length > 1 ? `${curve.vehicle} ${curve.name}` : curve.name]);
         this.curve = 0;
@@ -776,11 +776,16 @@ const vehsim = {};
       let html = "";
       for (let frame = Math.ceil(first / every) * every; frame <= last; frame += every)
         html += `<div class="tick" style="${at(frame)};height:40%"><span>${frame - first < 0.96 * length ? frame : ""}</span></div>`;
-      for (const mark of marks) html += `<div class="mark" style="${at(mark.frame)}"></div>`;
+      const own = (k) => marks[k].vehicle === (this.viewer.follow || this.viewer.vehicles[0]);
+      for (const k of [...marks.keys()].sort((a, b) => own(a) - own(b))) // those of the vehicle that is followed on top
+        html += `<div class="mark${own(k) ? "" : " other"}" data-mark="${k}" style="${at(marks[k].frame)}"></div>`;
       for (const note of notes) html += `<div class="note" style="${at(note.frame)}"></div>`;
       this.track.innerHTML = `${html}<div class="head"></div>`;
       this.track.querySelectorAll(".note").forEach((note, k) => (note.title = `${notes[k].frame}: ${notes[k].text}`));
-      this.track.querySelectorAll(".mark").forEach((mark, k) => (mark.title = `${marks[k].vehicle}: mark at ${marks[k].frame}`));
+      this.track.querySelectorAll(".mark").forEach((mark) => {
+        const { vehicle, frame } = marks[mark.dataset.mark];
+        mark.title = `${vehicle}: mark at ${frame}`;
+      });
       this.draw();
     }
 

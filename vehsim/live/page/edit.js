@@ -23,7 +23,7 @@
 
   const subject = () => vehsim.viewer.follow || vehsim.viewer.vehicles[0];
   const marks = () => live().state.handles.filter((handle) => handle.mark !== null);
-  const here = () => marks()[vehsim.viewer.marks.findIndex((mark) => Math.round(mark.frame) === vehsim.viewer.frame)];
+  const here = () => marks()[vehsim.viewer.marks.findIndex((mark) => mark.vehicle === subject() && Math.round(mark.frame) === vehsim.viewer.frame)];
 
   const track = element("track");
   const frameAt = (event) => {
@@ -32,8 +32,7 @@
   };
   track.addEventListener("pointerdown", (event) => {
     if (!event.target.classList.contains("mark") || !live().editor) return;
-    const k = [...track.querySelectorAll(".mark")].indexOf(event.target);
-    held = { k, shown: event.target, frame: null };
+    held = { k: Number(event.target.dataset.mark), shown: event.target, frame: null };
     track.setPointerCapture(event.pointerId);
     event.stopImmediatePropagation();
   }, true);
@@ -123,14 +122,15 @@
       const group = document.createElement("details");
       group.dataset.table = table;
       group.open = open.has(table);
-      group.append(Object.assign(document.createElement("summary"), { textContent: table }), ...fields.map(field));
+      const summary = Object.assign(document.createElement("summary"), { textContent: fields[0].table, title: table });
+      group.append(summary, ...fields.map(field));
       return group;
     }));
   }
 
   function field(one) {
     const label = document.createElement("label"), name = one.key.split(".").pop();
-    label.title = one.about;
+    label.title = `${one.key}: ${one.about}`;
     label.append(Object.assign(document.createElement("span"), { textContent: name, className: one.value === null ? "" : "given" }));
     const input = document.createElement(one.kind === "choice" || one.kind === "boolean" ? "select" : "input");
     input.id = `set-${one.key}`;

@@ -9,20 +9,32 @@
 
   const panel = document.createElement("aside");
   panel.id = "panel";
-  panel.innerHTML = `<div id="buttons"></div><div id="status"></div><div id="bar"><div></div></div><div id="problems"></div>`;
+  panel.innerHTML = `<div id="watching" hidden>another browser is editing: you are watching</div><div id="buttons"></div><div id="status"></div><div id="bar"><div></div></div><p id="notice" hidden></p><div id="problems"></div>`;
   document.head.append(Object.assign(document.createElement("style"), { textContent: `
     #panel { position: absolute; left: 12px; top: 36px; width: 280px; padding: 8px 10px; border-radius: 6px;
       background: rgba(20, 21, 24, 0.86); }
     #buttons { display: flex; flex-wrap: wrap; gap: 6px; }
     #status { margin-top: 6px; min-height: 1.4em; color: var(--dim); }
     #bar { height: 3px; margin-top: 4px; background: #16181b; } #bar div { height: 100%; width: 0; background: var(--accent); }
+    #notice { margin: 6px 0 0; overflow-wrap: anywhere; } #notice.refused { color: var(--accent); }
     #problems p { margin: 6px 0 0; padding-left: 8px; border-left: 2px solid var(--accent); overflow-wrap: anywhere; }
     #problems { max-height: 40vh; overflow: auto; }
+    #fold { float: right; margin-left: 6px; } #panel.folded { width: auto; } #panel.folded > :not(#fold) { display: none; }
     button:disabled { opacity: 0.4; cursor: default; }` }));
+  const fold = Object.assign(document.createElement("button"), { id: "fold", title: "hide this panel, or show it (H)", textContent: "\u2212" });
+  fold.addEventListener("click", () => {
+    fold.textContent = panel.classList.toggle("folded") ? "+" : "\u2212";
+    fold.blur();
+  });
+  panel.prepend(fold);
   element("stage").append(panel);
 
   const status = (text) => (element("status").textContent = text);
-  const send = (message) => socket && socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+  const send = (message) => {
+    if (!socket || socket.readyState !== WebSocket.OPEN) return;
+    if (message.kind !== "sticks") notice("");
+    socket.send(JSON.stringify(message));
+  };
 
   const buttons = {};
   for (const [kind, text, hint] of [
@@ -50,11 +62,12 @@
     };
   };
 
-  function told(message) {
-    if (message.kind === "role") {
+  const CHANGES = { undo: "undo", redo: "redo", save: "changed", export: "solved" }; // button -> what must be true of the state
+  const hears = { // kind of message -> what the page does
+    role(message) {
       editor = message.editor;
-      if (!editor) status("another browser is editing: you are watching");
-    } else if (message.kind === "state") {
+    },
+    state(message) {
       state = message;
       if (vehsim.viewer) vehsim.viewer.clearIterates();
       drawHandles();
@@ -62,18 +75,29 @@
       status(`${state.file}${state.changed ? " (not saved)" : ""}: ${state.solved ? "solved" : "not solved"}`);
       list(state.problems);
       if (!vehsim.viewer && state.problems.length) vehsim.say(state.problems.map((one) => one.text).join("\n"));
-    } else if (message.kind === "progress") {
+    },
+    progress(message) {
       element("bar").firstChild.style.width = `${100 * message.done}%`;
       status(message.text);
       if (!vehsim.viewer) vehsim.say(message.text);
-    } else if (message.kind === "drafted") status(`dragging: solved again in ${Math.round(1000 * message.seconds)} ms`);
-    else if (message.kind === "undrawn") status(`no motion: ${message.text}`);
-    else if (message.kind === "said") status(message.text);
-    else if (message.kind === "refused") list([{ text: message.text }]);
+    },
+    drafted: (message) => status(`dragging: solved again in ${Math.round(1000 * message.seconds)} ms`),
+    undrawn: (message) => status(`no motion: ${message.text}`),
+    said: (message) => notice(message.text, "said"),
+    refused: (message) => notice(message.text, "refused"),
+  };
+
+  function told(message) {
+    if (hears[message.kind]) hears[message.kind](message);
     vehsim.drive.told(message);
     vehsim.edit.told(message);
-    for (const [kind, button] of Object.entries(buttons))
-      button.disabled = !editor || !state || { undo: !state.undo, redo: !state.redo, save: !state.changed, export: !state.solved }[kind];
+    element("watching").hidden = editor;
+    for (const [kind, needs] of Object.entries(CHANGES)) buttons[kind].disabled = !editor || !state || !state[needs];
+  }
+
+  /** Show what was done or refused, until something else is requested. */
+  function notice(text, kind) {
+    Object.assign(element("notice"), { textContent: text, className: kind, hidden: !text });
   }
 
   function list(problems) {
@@ -86,7 +110,7 @@
       };
       if (fixes) {
         const [[key, value], ...others] = fixes, moves = others.length ? `, and ${others.length} more` : "";
-        offer(`set ${key.split(".").pop()} = ${value}${moves}`, { kind: "fix", fixes });
+        offer(`set ${key.split(".").slice(-2).join(".")} = ${value}${moves}`, { kind: "fix", fixes });
       }
       if (keeps !== undefined) offer("save the dragged motion as guess", { kind: "keep_dragged", vehicle: keeps });
       return shown;
@@ -255,7 +279,8 @@
   element("stage").addEventListener("pointerup", release, true);
   element("stage").addEventListener("pointercancel", release, true);
   window.addEventListener("keydown", (event) => {
-    const key = event.key.toLowerCase();
+    const key = event.key.toLowerCase(), writing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
+    if (key === "h" && !writing && !(event.ctrlKey || event.metaKey || event.altKey)) fold.click();
     if (!(event.ctrlKey || event.metaKey) || !["z", "s", "y"].includes(key)) return;
     event.preventDefault();
     send({ kind: key === "s" ? "save" : key === "y" || event.shiftKey ? "redo" : "undo" });

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +26,12 @@ MOST_LEAN = 0.1
 """The largest lean in wind with which a vehicle's hulls are compared as if it were level, rad."""
 TURNS = 180
 """Number of headings to try at a mark without a heading."""
+DIRECTIONS = 16
+"""Number of directions in which `nearest_clear` looks."""
+ROOM = 0.25
+"""Distance beyond the clearance of a place that it finds, m, so that there is a way to it."""
+FARTHEST = 50.0
+"""How far it looks, m."""
 _HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
 
 
@@ -86,6 +92,43 @@ def marks_too_near(
             yield i, f"the vehicle reaches {-gap:.2f} m into {where}", "move the mark out of the terrain"
         else:
             yield i, f"in {where}", "move the mark or the obstacle"
+
+
+def nearest_clear(
+    vehicle: Vehicle, world: Any, mark: Any, clearance: float, moved: Callable[[list[float]], Any]
+) -> list[float] | None:
+    """The nearest place [x, y, z] m, in whole mm, for a mark in or too near to an obstacle or rock, with some room.
+
+    It is beside the mark or, for a flying vehicle, above it; None if none was found within `FARTHEST`.
+    ``moved``: the mark at another place. Along each direction, a step is as long as the missing distance, which no
+    shorter way can gain.
+    """
+    flies, start = vehicle.group.dim == 6, np.array(mark.position, float)
+    angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    ways = [*np.column_stack([np.cos(angles), np.sin(angles), 0 * angles]), *([np.array([0.0, 0.0, 1.0])] * flies)]
+    best, found = FARTHEST, None
+    for way in ways:
+        away = 0.0
+        while away < best:
+            place = start + away * way
+            if not flies and world.terrain is not None:
+                place[2] = world.height(place[None, :2])[0]
+            place = place.round(3)
+            if (missing := _missing(vehicle, world, moved(place.tolist()), clearance + ROOM)) <= 0:
+                best, found = away, place.tolist()
+            away += max(missing, 0.01)
+    return found
+
+
+def _missing(vehicle: Vehicle, world: Any, mark: Any, clearance: float) -> float:
+    """How much farther a mark must be from obstacles and rock, m; at most 0 if it is clear."""
+    if vehicle.group.dim == 6 and world.terrain is not None and world.terrain.below([mark.position])[0]:
+        return max(float(world.height([mark.position[:2]])[0]) - mark.position[2], 0.0) + max(clearance, 0.01)
+    if vehicle.group.dim == 6:
+        near = _flown(vehicle, world, mark, None)
+    else:
+        near = _driven(vehicle, parts_in_reach(vehicle, world, [mark]), mark, None)
+    return -np.inf if near is None else clearance - near.gap - leeway(mark)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from vehsim.shot.schema.tables import (
     names_in,
     one_of,
 )
-from vehsim.shot.world.obstacle_tables import check_marks
+from vehsim.shot.world.obstacle_tables import check_marks, clear_place
 from vehsim.vehicles.definition.character import DEFAULT, CharacterName
 
 if TYPE_CHECKING:
@@ -140,7 +140,9 @@ class PlanMotion(Table):
             if mark.position is not None and is_planar(vehicle):
                 yield from check_inside(f"{key}.position", mark.position, vehicle, context.world)
             if mark.position is not None and not (is_planar(vehicle) or mark.on_ground):  # wheels touch the ground
-                yield from check_free(f"{key}.position", mark.position, self.clearance, context.world)
+                place = f"{key}.position"
+                for problem in check_free(place, mark.position, self.clearance, context.world):
+                    yield replace(problem, fixes=clear_place(place, mark, vehicle, context.world, self.clearance))
 
     def _check_guess(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         if self.guess_file is not None:

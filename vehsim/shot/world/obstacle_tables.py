@@ -62,7 +62,20 @@ def check_marks(marks: Sequence[MarkTable], vehicle: Vehicle, world: World, clea
     from vehsim.planning.request.marks_near_obstacles import marks_too_near
 
     for i, message, remedy in marks_too_near(vehicle, world, marks, clearance):
-        yield Problem(f"mark[{i}].position", message, remedy, marks[i].position)
+        key = f"mark[{i}].position"
+        yield Problem(
+            key, message, remedy, marks[i].position, fixes=clear_place(key, marks[i], vehicle, world, clearance)
+        )
+
+
+def clear_place(
+    key: str, mark: MarkTable, vehicle: Vehicle, world: World, clearance: float
+) -> tuple[tuple[str, list[float]], ...]:
+    """The fix of a mark in or too near to an obstacle or rock: its key with the nearest place, if one was found."""
+    from vehsim.planning.request.marks_near_obstacles import nearest_clear
+
+    place = nearest_clear(vehicle, world, mark, clearance, lambda there: mark.model_copy(update={"position": there}))
+    return () if place is None else ((key, place),)
 
 
 def name_of(i: int, table: Any) -> str:
