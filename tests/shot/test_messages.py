@@ -223,6 +223,7 @@ meters_per_unit = 1
 assets = "copy"
 shutter = [-0.25, 0.25]
 thin = 0.1
+tyre_marks = false
 curves = { tolerance = 0.01, angle = 0.1 }
 clip_frames = 10
 layer_only = false
