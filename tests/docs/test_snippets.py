@@ -485,7 +485,7 @@ def test_commands_do_what_they_say(snippet: Snippet, tmp_path: Path) -> None:
         for line in lines:
             if line.startswith("vehsim"):
                 (tmp_path / "shot.toml").write_text(SMALL, encoding="utf-8")
-                run(line, tmp_path, code=1)
+                run(line, tmp_path, code=2)
                 shutil.rmtree(tmp_path / "out", ignore_errors=True)
         text = "\n".join(line for line in text.splitlines() if line not in lines)
         if not text.strip():
