@@ -281,7 +281,7 @@ def test_a_prim_that_vanished_is_named(approved, tmp_path):
     stage = Usd.Stage.Open(str(path))
     without_rotor(stage)
     stage.GetRootLayer().Save()
-    with pytest.raises(AssertionError, match=r"segmentation; /shot/vehicles/toy0/rotor is missing"):
+    with pytest.raises(AssertionError, match=r"segmentation; /shot/vehicles/toy0/rotor/rotor is missing"):
         check(False)(path, **look)
     check(True)(path, **look)
     check(False)(path, **look)
