@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.exporters.usd.scenery.lighting import encode_srgb, fractal_noise
+from vehsim.exporters.usd.scenery.textured import author_textured
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
@@ -131,23 +132,10 @@ def coordinates(corners: Array, normals: Array, finish: str) -> Array:
 
 def author_material(stage: Any, path: str, file: Path, relative: str, finish: str, colour: Colour) -> Any:
     """Write the texture to ``file``, and a material at ``path`` that names it ``relative``; returns the material."""
-    from pxr import Sdf, UsdShade
+    from pxr import Sdf
 
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(picture(finish, colour))
-    types = Sdf.ValueTypeNames
-    material = UsdShade.Material.Define(stage, path)
-    reader, texture, surface = (UsdShade.Shader.Define(stage, f"{path}/{n}") for n in ("st", "picture", "surface"))
-    reader.CreateIdAttr("UsdPrimvarReader_float2")
-    reader.CreateInput("varname", types.String).Set("st")
-    texture.CreateIdAttr("UsdUVTexture")
-    texture.CreateInput("file", types.Asset).Set(Sdf.AssetPath(relative))
-    texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
-    for wrap in ("wrapS", "wrapT"):
-        texture.CreateInput(wrap, types.Token).Set("repeat")
-    texture.CreateInput("st", types.Float2).ConnectToSource(reader.CreateOutput("result", types.Float2))
-    surface.CreateIdAttr("UsdPreviewSurface")
-    surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(texture.CreateOutput("rgb", types.Float3))
-    surface.CreateInput("roughness", types.Float).Set(FINISHES[finish].roughness)
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+    material, _, surface = author_textured(stage, path, relative, "picture")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(FINISHES[finish].roughness)
     return material

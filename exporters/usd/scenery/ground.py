@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vehsim.exporters.usd.metadata import author_points, author_stage_metadata
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
+from vehsim.exporters.usd.scenery.textured import author_textured
 
 if TYPE_CHECKING:
     from vehsim.world.terrain.terrain import Terrain
@@ -30,7 +31,7 @@ ROCK = ((0.24, 0.17, 0.12), (0.33, 0.24, 0.17))
 
 def write_ground(terrain: Terrain, folder: Path) -> tuple[Path, list[Path]]:
     """Write ``folder/<name>/<name>.usdc`` and its texture; returns the asset and every file written."""
-    from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdShade
+    from pxr import Kind, Tf, Usd, UsdGeom, UsdShade
 
     name = Tf.MakeValidIdentifier(terrain.name)
     asset = folder / name / f"{name}.usdc"
@@ -46,7 +47,7 @@ def write_ground(terrain: Terrain, folder: Path) -> tuple[Path, list[Path]]:
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
     mesh = UsdGeom.Mesh.Define(stage, f"/{name}/{name}")
     _author_mesh(mesh, terrain, TILE if level else None)
-    material = _author_material(stage, f"/{name}/materials/ground", Sdf.AssetPath(f"./{texture.name}"))
+    material = _author_material(stage, f"/{name}/materials/ground", f"./{texture.name}")
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     stage.GetRootLayer().Save()
     return asset, [asset, texture]
@@ -75,30 +76,15 @@ def _author_mesh(mesh: Any, terrain: Terrain, tile: float | None) -> None:
     primvar.Set(Vt.Vec2fArray.FromNumpy(st))
 
 
-def _author_material(stage: Any, path: str, texture: Any) -> Any:
-    from pxr import Gf, Sdf, UsdGeom, UsdShade
+def _author_material(stage: Any, path: str, texture: str) -> Any:
+    from pxr import Gf, Sdf, UsdGeom
 
     types = Sdf.ValueTypeNames
     UsdGeom.Scope.Define(stage, Sdf.Path(path).GetParentPath())
-    material = UsdShade.Material.Define(stage, path)
-    st = UsdShade.Shader.Define(stage, f"{path}/st")
-    st.CreateIdAttr("UsdPrimvarReader_float2")
-    st.CreateInput("varname", types.String).Set("st")
-    image = UsdShade.Shader.Define(stage, f"{path}/colour")
-    image.CreateIdAttr("UsdUVTexture")
-    image.CreateInput("file", types.Asset).Set(texture)
-    image.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
-    image.CreateInput("wrapS", types.Token).Set("repeat")
-    image.CreateInput("wrapT", types.Token).Set("repeat")
-    image.CreateInput("st", types.Float2).ConnectToSource(st.CreateOutput("result", types.Float2))
-    surface = UsdShade.Shader.Define(stage, f"{path}/surface")
-    surface.CreateIdAttr("UsdPreviewSurface")
+    material, _, surface = author_textured(stage, path, texture, "colour")
     surface.CreateInput("roughness", types.Float).Set(0.95)
     surface.CreateInput("specularColor", types.Color3f).Set(Gf.Vec3f(0.0))
     surface.CreateInput("useSpecularWorkflow", types.Int).Set(1)
-    diffuse = surface.CreateInput("diffuseColor", types.Color3f)
-    diffuse.ConnectToSource(image.CreateOutput("rgb", types.Float3))
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
     return material
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from vehsim.exporters.usd.metadata import local_origin
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
+from vehsim.exporters.usd.scenery.textured import author_textured
 from vehsim.exporters.usd.stage import TYRE_MARK
 from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.world.ground.tyres import Tyre, contacts, tyres_of
@@ -216,25 +217,11 @@ def profile(across: Array) -> Array:
 
 
 def _author_material(stage: Any, path: str, texture: str) -> Any:
-    from pxr import Sdf, UsdShade
+    from pxr import Sdf
 
     types = Sdf.ValueTypeNames
-    material = UsdShade.Material.Define(stage, path)
-    st = UsdShade.Shader.Define(stage, f"{path}/st")
-    st.CreateIdAttr("UsdPrimvarReader_float2")
-    st.CreateInput("varname", types.String).Set("st")
-    image = UsdShade.Shader.Define(stage, f"{path}/mark")
-    image.CreateIdAttr("UsdUVTexture")
-    image.CreateInput("file", types.Asset).Set(Sdf.AssetPath(texture))
-    image.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
-    for wrap in ("wrapS", "wrapT"):
-        image.CreateInput(wrap, types.Token).Set("clamp")
-    image.CreateInput("st", types.Float2).ConnectToSource(st.CreateOutput("result", types.Float2))
-    surface = UsdShade.Shader.Define(stage, f"{path}/surface")
-    surface.CreateIdAttr("UsdPreviewSurface")
+    material, image, surface = author_textured(stage, path, texture, "mark", wrap="clamp")
     surface.CreateInput("roughness", types.Float).Set(0.85)
-    diffuse, opacity = surface.CreateInput("diffuseColor", types.Color3f), surface.CreateInput("opacity", types.Float)
-    diffuse.ConnectToSource(image.CreateOutput("rgb", types.Float3))
+    opacity = surface.CreateInput("opacity", types.Float)
     opacity.ConnectToSource(image.CreateOutput("a", types.Float))
-    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
     return material
