@@ -33,10 +33,9 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.solver import Solver
 from vehsim.planning.request import ranges
 from vehsim.planning.request.marks import Gate
-from vehsim.planning.request.marks_near_obstacles import marks_too_near
 from vehsim.planning.request.request import make_request
 from vehsim.planning.terms import Constraint
-from vehsim.world.obstacles.obstacles import box, ellipse, moving
+from vehsim.world.obstacles.obstacles import box, ellipse
 from vehsim.world.terrain.terrain import Terrain
 
 CAR_ASIDE = [Mark(1, position=REST, heading=0, velocity=REST), Mark(49, position=(0, 6, 0), heading=0, velocity=REST)]
@@ -518,47 +517,6 @@ def test_a_robot_reverses_where_turning_round_takes_too_long():
     half = plan.clip.at([3.0])
     ahead = np.array([math.cos(float(yaw_of(half.orientations)[0])), math.sin(float(yaw_of(half.orientations)[0]))])
     assert ahead @ np.subtract(goal, half.positions[0])[:2] < 0
-
-
-def test_a_mark_in_the_way_of_another_vehicle_is_refused_with_its_frame():
-    """A helicopter that ends 10.4 m beside another: their rotors, 10.7 m wide, overlap at any heading."""
-    heli = vehsim.load_vehicle("helicopter")
-    hover = [vehsim.Mark(frame, position=(0, 0, 20), heading=0, velocity=REST) for frame in (1, 25)]
-    goes = vehsim.plan(heli, None, hover, segments=8).clip
-    world = vehsim.World(obstacles=[moving("other", goes)])
-    start = vehsim.Mark(1, position=(-40, 0, 20), velocity=REST)
-    for place, wrong in ((10.4, "in obstacle 'other' at any heading at frame 200"), (14.0, "")):
-        marks = [start, vehsim.Mark(200, position=(place * 0.6, place * 0.8, 20), velocity=REST)]
-        found = [message for _, message, _ in marks_too_near(heli, world, marks, 0.3, 24)]
-        assert found == [wrong] * bool(wrong)
-        assert not list(marks_too_near(heli, world, marks, 0.3))
-
-
-def test_a_mark_too_near_to_rock_is_refused_at_any_heading():
-    """In the canyon, 4 m from a wall: less than half the rotor. Tolerance and landings reduce the clearance."""
-    heli, world = vehsim.load_vehicle("helicopter"), vehsim.World("canyon")
-
-    def found(mark, clearance, *others):
-        start = Mark(1, position=(0, 0, 30), velocity=REST)
-        return [(i, message) for i, message, _ in marks_too_near(heli, world, [start, mark, *others], clearance, 24)]
-
-    near = Mark(200, position=(36, 0, 28.8), velocity=REST)
-    assert found(near, 0.5) == [(1, "the vehicle reaches 2.47 m into rock at any heading")]
-    windy, bare = (
-        vehsim.World("canyon", wind=(2, 2, 0)),
-        vehsim.load_vehicle("helicopter_lie"),
-    )
-    assert [i for i, *_ in marks_too_near(bare, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]
-    assert [i for i, *_ in marks_too_near(heli, windy, [Mark(1, position=(0, 0, 30)), near], 0.5, 24)] == [1]
-    assert found(replace(near, position=(24, 0, 26.4)), 0.5) == []
-    free = replace(near, position=(32, 0, 28))
-    ((_, message),) = found(free, 5.0)
-    gap = float(re.fullmatch(r"only (.*) m from rock at any heading", message)[1])
-    assert found(free, gap + 0.3) and found(free, gap - 0.1) == []
-    assert found(replace(free, tolerance=0.2), gap + 0.3) == []
-    assert found(free, gap + 0.3, Mark(300, position=(32, 0, 26), velocity=REST, on_ground=True)) == []
-    with pytest.raises(InputError, match=r"mark\[1\].position = .*into rock at any heading"):
-        vehsim.plan(heli, world, [Mark(1, position=(0, 0, 30), velocity=REST), near])
 
 
 def test_a_car_that_must_change_direction_at_every_mark_finds_its_way():

@@ -8,9 +8,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vehsim.lie import SO3
+from vehsim.lie.quaternions import from_yaw, yaw_tilt
 from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import conservative
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 
 MOST_LEAN = 1.2
 """Largest roll and pitch of a balance, rad."""
+DIRECTIONS = 16
+"""Headings at which the lean in wind is computed."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
     return steady(vehicle, (0.0, 0.0, 0.0), wind).controls
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def steady(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Trim:
     """The balance of a vehicle that moves with a world ``velocity`` (3,) m/s and the heading zero, without turning.
 
@@ -46,25 +49,62 @@ def steady(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, ...
     """
     if not vehicle.controls:
         return Trim(np.zeros(0), 0.0, 0.0, np.zeros(0))
+    law, solver, bounds = _balancer(vehicle)
+    scale, air = np.array([control.scale for control in vehicle.controls]), (velocity, wind)
+    size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)), np.zeros(2), *air)[0])).max(initial=0.0)))
+    found = np.asarray(solver(p=np.concatenate([*air, [size]]), **bounds)["x"]).ravel()
+    controls, lean = found[: len(scale)] * scale, found[len(scale) :]
+    roll, pitch = map(float, lean if len(lean) else np.zeros(2))
+    residual = np.asarray(law(controls, np.array([roll, pitch]), *air)[0]).ravel()
+    return Trim(controls, roll, pitch, residual)
+
+
+@lru_cache(maxsize=16)
+def _balancer(vehicle: Vehicle) -> tuple[ca.Function, ca.Function, dict[str, Array]]:
+    """The force of `_standing`; a solver for the controls over their scale and the lean that make it vanish, with the
+    parameters velocity (3,), wind (3,) and the size of the force; and the solver's bounds and start."""
     scale = np.array([control.scale for control in vehicle.controls])
     lower = np.array([control.lower for control in vehicle.controls]) / scale
     upper = np.array([control.upper for control in vehicle.controls]) / scale
-    law, v = _standing(vehicle, velocity, wind), ca.SX.sym("v", len(scale))
+    law, v, p = _standing(vehicle), ca.SX.sym("v", len(scale)), ca.SX.sym("p", 7)
     lean = ca.SX.sym("lean", 2 if _flies(vehicle) else 0)
-    level = np.zeros(lean.shape[0])
-    size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)), np.zeros(2))[0])).max(initial=0.0)))
     tilted = lean if lean.shape[0] else ca.SX.zeros(2)
-    missed = ca.sumsqr(law(v * scale, tilted)[0] / size) + 1e-12 * (ca.sumsqr(v) + ca.sumsqr(lean))
+    missed = ca.sumsqr(law(v * scale, tilted, p[:3], p[3:6])[0] / p[6]) + 1e-12 * (ca.sumsqr(v) + ca.sumsqr(lean))
     options: Any = {"ipopt": {"tol": 1e-12, "print_level": 0, "sb": "yes"}, "print_time": False}
-    solver = nlpsol("trim", "ipopt", {"x": ca.vertcat(v, lean), "f": missed}, options)
-    bounded = np.isfinite(lower) & np.isfinite(upper)
+    solver = nlpsol("trim", "ipopt", {"x": ca.vertcat(v, lean), "f": missed, "p": p}, options)
+    bounded, level = np.isfinite(lower) & np.isfinite(upper), np.zeros(lean.shape[0])
     middle = (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2
     start = np.where(bounded, middle, np.clip(0.0, lower + 1e-6, upper - 1e-6))
     bounds = {"lbx": np.append(lower, level - MOST_LEAN), "ubx": np.append(upper, level + MOST_LEAN)}
-    found = np.asarray(solver(x0=np.append(start, level), **bounds)["x"]).ravel()
-    controls, (roll, pitch) = found[: len(scale)] * scale, found[len(scale) :] if len(level) else (0.0, 0.0)
-    residual = np.asarray(law(controls, np.array([roll, pitch]))[0]).ravel()
-    return Trim(controls, float(roll), float(pitch), residual)
+    return law, solver, {"x0": np.append(start, level), **bounds}
+
+
+def upright(vehicle: Vehicle, headings: ArrayLike, wind: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """Orientations (n, 4) w, x, y, z in which the vehicle rests in the ``wind`` (3,) m/s, at headings (n,) rad: level,
+    or, in flight, in balance.
+
+    The lean in wind is found at up to `DIRECTIONS` headings, between which it is interpolated by sines and cosines.
+    """
+    yaw = np.asarray(headings, float)
+    if not _flies(vehicle):
+        return from_yaw(yaw)
+    if not (vehicle.feels_wind and np.any(wind)):
+        lean = np.repeat(_lean(vehicle, 0.0, (0.0, 0.0, 0.0))[None], len(yaw), axis=0)
+    elif len(yaw) <= DIRECTIONS:
+        lean = np.array([_lean(vehicle, angle, wind) for angle in yaw])
+    else:
+        table = np.fft.rfft([_lean(vehicle, k * 2 * np.pi / DIRECTIONS, wind) for k in range(DIRECTIONS)], axis=0)
+        table[1:-1] *= 2  # the negative frequencies
+        waves = np.exp(1j * np.outer(yaw, np.arange(len(table))))
+        lean = np.real(waves @ table) / DIRECTIONS
+    return yaw_tilt(yaw, -lean[:, 1], lean[:, 0])
+
+
+def _lean(vehicle: Vehicle, yaw: float, wind: ArrayLike) -> Array:
+    """Roll and pitch, nose up (2,) rad, at rest with a heading in a wind."""
+    c, s, (x, y, z) = np.cos(yaw), np.sin(yaw), np.asarray(wind, float).tolist()
+    balance = steady(vehicle, (0.0, 0.0, 0.0), (float(c * x + s * y), float(c * y - s * x), z))
+    return np.array([balance.roll, balance.pitch])
 
 
 def leans(vehicle: Vehicle) -> float:
@@ -77,8 +117,7 @@ def leans(vehicle: Vehicle) -> float:
 
 def rests_uncontrolled(vehicle: Vehicle) -> bool:
     """Whether the vehicle stays at rest and level with its controls at zero."""
-    still = (0.0, 0.0, 0.0)
-    force = _standing(vehicle, still, still)(np.zeros(len(vehicle.controls)), np.zeros(2))[0]
+    force = _standing(vehicle)(np.zeros(len(vehicle.controls)), *(np.zeros(n) for n in (2, 3, 3)))[0]
     return bool(np.abs(np.asarray(force)).max(initial=0.0) < 1e-9)
 
 
@@ -86,11 +125,11 @@ def _flies(vehicle: Vehicle) -> bool:
     return bool(vehicle.group.dim == 6 and vehicle.hull is None and getattr(vehicle, "gravity", 0.0))
 
 
-def _standing(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, ...]) -> ca.Function:
-    """A function of the controls (c,) and of roll and pitch (2,), rad: the force on the vehicle, and its derivative by
-    the controls."""
+def _standing(vehicle: Vehicle) -> ca.Function:
+    """A function of the controls (c,), roll and pitch (2,) rad, world velocity (3,) and wind (3,) m/s: the force on the
+    vehicle, and its derivative by the controls."""
     s, d, group = len(vehicle.joints), vehicle.group.dim, vehicle.group
-    c, lean = ca.SX.sym("c", len(vehicle.controls)), ca.SX.sym("lean", 2)
+    c, lean, velocity, wind = (ca.SX.sym("x", n) for n in (len(vehicle.controls), 2, 3, 3))
     still = ca.SX(list(group.identity))
     moving = ca.SX.zeros(d)
     if _flies(vehicle):
@@ -100,13 +139,13 @@ def _standing(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, 
         ]
         attitude = SO3.compose(about[1], about[0])
         still = group.from_pose(ca.vertcat(0, 0, 0, attitude))
-        body = SO3.matrix(attitude).T @ ca.DM(list(velocity))
+        body = SO3.matrix(attitude).T @ velocity
         moving = group.velocity_from_body(still, ca.vertcat(ca.SX.zeros(3), body))
     joints = (ca.SX.zeros(s), ca.SX.zeros(s))
-    forces = vehicle.force(still, *joints, moving, c, ca.SX(list(wind)))
+    forces = vehicle.force(still, *joints, moving, c, wind)
     weight = conservative(vehicle, still, joints[0])
     residual = ca.densify(ca.vertcat(*(a + b for a, b in zip(forces, weight, strict=True))))
-    return ca.Function("force", [c, lean], [residual, ca.densify(ca.jacobian(residual, c))])
+    return ca.Function("force", [c, lean, velocity, wind], [residual, ca.densify(ca.jacobian(residual, c))])
 
 
 def swims(vehicle: Vehicle) -> bool:

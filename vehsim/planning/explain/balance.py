@@ -11,13 +11,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.lie.quaternions import from_yaw
 from vehsim.planning.constraints.mark_constraints import asks_balance, mark_element, mark_values
 from vehsim.planning.problem.elements import Element
 from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.marks import Mark
-from vehsim.planning.trim import trim
+from vehsim.planning.trim import trim, upright
 from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
@@ -116,8 +115,10 @@ def _solver(transcription: Transcription, element: Element) -> tuple[ca.Function
 
 
 def _start(transcription: Transcription, mark: Mark, heading: float, wind: Any) -> Array:
-    """A knot (x, c0) at rest and level at a mark, with its controls as near to trim as possible."""
-    pose = np.concatenate([mark.position or (0.0, 0.0, 0.0), from_yaw(np.deg2rad(heading))])
+    """A knot (x, c0) at rest at a mark, as near to balance as its controls allow."""
+    pose = np.concatenate(
+        [mark.position or (0.0, 0.0, 0.0), *upright(transcription.vehicle, [np.deg2rad(heading)], wind)]
+    )
     g = np.asarray(transcription.vehicle.group.from_pose(pose)).ravel()
     rest = np.zeros(transcription.sizes[1] + transcription.sizes[2])
     return np.concatenate([g, rest, trim(transcription.vehicle, tuple(wind)) / transcription.control_scale])

@@ -30,7 +30,7 @@ from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import Constraint
-from vehsim.planning.trim import leans
+from vehsim.planning.trim import upright
 from vehsim.vehicles.definition.mechanics import free_size
 
 Array = NDArray[np.float64]
@@ -258,26 +258,27 @@ def _least(ball: Ball, displacement: Array, room: float, a: Mark, b: Mark) -> fl
 
 def _swing(request: Request, a: Mark, b: Mark) -> float:
     """How much shorter the body frame's path may be than the root's, m, because of its offset from the root."""
-    offsets = [_offset(request, mark) for mark in (a, b)]
-    if offsets[0] is None or offsets[1] is None:
+    here, there = _offset(request, a), _offset(request, b)
+    if here is None or there is None:
         return 2 * _lever(request)
-    lean = 2 * leans(request.vehicle)
-    return float(np.linalg.norm(offsets[1] - offsets[0])) + lean * _lever(request)
+    return float(np.linalg.norm(there[0] - here[0])) + here[1] + there[1]
 
 
-def _offset(request: Request, mark: Mark) -> Array | None:
-    """Position of the body frame relative to the root at a mark (3,) m, if the mark fixes the orientation; otherwise
-    None."""
+def _offset(request: Request, mark: Mark) -> tuple[Array, float] | None:
+    """Position of the body frame relative to the root at a mark (3,) m, and its distance from there, m, where the mark
+    leaves the heading free; None if the mark leaves the attitude free."""
     origin = request.vehicle.origin
     if mark.orientation is not None:
         q = np.asarray(mark.orientation, float)
-        return np.asarray(SO3.matrix(q / np.linalg.norm(q)) @ origin)
-    level = request.vehicle.group.planar or (mark.balanced and not np.any(request.wind))
-    if not level or (mark.heading is None and np.any(origin[:2])):
+        return np.asarray(SO3.matrix(q / np.linalg.norm(q)) @ origin), 0.0
+    known = request.vehicle.group.planar or mark.balanced
+    if not known or (mark.heading is None and not request.vehicle.group.planar and np.any(request.wind)):
         return None
-    angle = math.radians(mark.heading or 0.0)
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([c * origin[0] - s * origin[1], s * origin[0] + c * origin[1], origin[2]])
+    turn = upright(request.vehicle, [math.radians(mark.heading or 0.0)], request.wind)[0]
+    offset = np.asarray(SO3.matrix(turn) @ origin)
+    if mark.heading is not None:
+        return offset, 0.0
+    return np.array([0.0, 0.0, offset[2]]), float(np.hypot(*offset[:2]))
 
 
 def _lever(request: Request) -> float:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie import SO3
-from vehsim.lie.quaternions import from_yaw
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import cuts_of, legs_between, mark_positions, poses_of
 from vehsim.planning.request.marks import Mark, heading_of
-from vehsim.planning.trim import swims, trim
+from vehsim.planning.trim import swims, trim, upright
 from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
@@ -35,7 +34,7 @@ def along_paths(
     wind: Any,
     aims: Sequence[tuple[int, int, Any, float]] = (),
 ) -> Array:
-    """Variables (size,) of a motion along ``paths`` (one per leg), level, at trim controls.
+    """Variables (size,) of a motion along ``paths`` (one per leg), in balance as at rest in the wind.
 
     A path is a polyline (k, 3) m, of poses (k, 4) with headings in rad, or of poses with shares of the leg's duration
     (k, 5). ``aims``: (first knot, last knot, point (3,) m, angle rad): between these knots the vehicle heads for the
@@ -51,8 +50,8 @@ def along_paths(
         to_point = np.asarray(point, float)[:2] - positions[knots, :2]
         headings[knots] = np.arctan2(to_point[:, 1], to_point[:, 0]) - offset
     headings = np.unwrap(headings) if len(aims) else headings
-    trimmed = trim(transcription.vehicle, tuple(wind))
-    return from_poses(transcription, layout, positions, from_yaw(headings), headings, lengths, trimmed)
+    trimmed, turns = trim(transcription.vehicle, tuple(wind)), upright(transcription.vehicle, headings, wind)
+    return from_poses(transcription, layout, positions, turns, headings, lengths, trimmed)
 
 
 def along_clip(

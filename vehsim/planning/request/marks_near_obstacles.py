@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.lie.quaternions import from_yaw
 from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.landing import attitude, forgiven
 from vehsim.planning.request.marks import Mark, heading_of, leeway
-from vehsim.planning.trim import leans
+from vehsim.planning.trim import leans, upright
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
 from vehsim.world.obstacles.plane import placed
@@ -23,9 +23,11 @@ from vehsim.world.obstacles.plane import placed
 Array = NDArray[np.float64]
 
 MOST_LEAN = 0.1
-"""The largest lean in wind with which a vehicle's hulls are compared as if it were level, rad."""
+"""The largest lean with which the hulls of a moving vehicle are compared as if it were level, rad."""
 TURNS = 180
 """Number of headings to try at a mark without a heading."""
+FINE = 0.01
+"""In flight, headings between them are tried too until no point of the vehicle moves farther than this, m."""
 DIRECTIONS = 16
 """Number of directions in which `nearest_clear` looks."""
 ROOM = 0.25
@@ -63,9 +65,10 @@ def marks_too_near(
     """Index, message and remedy of every mark at which the vehicle is in an obstacle, or too near to one; a flying
     vehicle also in rock, or too near to it.
 
-    For a mark without a heading, the best heading counts. For a flying vehicle that may tilt there, only the root is
-    checked, and only against obstacles. The tolerance or gate of a mark, and its distance to a landing, reduce the
-    required clearance. ``fps``: frames per second; with them, moving obstacles count at marks with a frame.
+    For a mark without a heading, the best heading counts. At rest, a flying vehicle leans as its balance demands; where
+    it may tilt, only the root is checked, and only against obstacles. The tolerance or gate of a mark, and its distance
+    to a landing, reduce the required clearance. ``fps``: frames per second; with them, moving obstacles count at marks
+    with a frame.
     """
     if world is None:
         return
@@ -76,18 +79,21 @@ def marks_too_near(
         seconds = None if fps is None or frame is None else float(int(frame) / fps)
         if mark.position is None:
             continue
-        found = _flown(vehicle, world, mark, seconds) if flies else _driven(vehicle, parts, mark, seconds)
-        if found is None:
-            continue
-        spare = found.spare + leeway(mark) + float(less(np.array([mark.position], float))[0])
-        if found.gap + spare >= clearance - FINEST:
+        wanted = clearance - FINEST - leeway(mark) - float(less(np.array([mark.position], float))[0])
+        found = _flown(vehicle, world, mark, seconds, wanted) if flies else _driven(vehicle, parts, mark, seconds)
+        if found is None or found.gap + found.spare >= wanted:
             continue
         obstacle, gap = found.obstacle, found.gap
         where = "rock" if obstacle is None else f"obstacle {obstacle.name!r}"
         where += " at any heading" if found.turned else ""
         where += f" at frame {frame}" if obstacle is not None and obstacle.moves else ""
         if gap > 0:
-            yield i, f"only {gap:.2f} m from {where}", f"keep the clearance of {clearance:g} m, or reduce it"
+            least = math.floor(100 * (gap + clearance - FINEST - wanted)) / 100
+            yield (
+                i,
+                f"only {gap:.2f} m from {where}",
+                f"keep the clearance of {clearance:g} m, or reduce it to {least:g}",
+            )
         elif obstacle is None:
             yield i, f"the vehicle reaches {-gap:.2f} m into {where}", "move the mark out of the terrain"
         else:
@@ -125,7 +131,7 @@ def _missing(vehicle: Vehicle, world: Any, mark: Any, clearance: float) -> float
     if vehicle.group.dim == 6 and world.terrain is not None and world.terrain.below([mark.position])[0]:
         return max(float(world.height([mark.position[:2]])[0]) - mark.position[2], 0.0) + max(clearance, 0.01)
     if vehicle.group.dim == 6:
-        near = _flown(vehicle, world, mark, None)
+        near = _flown(vehicle, world, mark, None, clearance - leeway(mark))
     else:
         near = _driven(vehicle, parts_in_reach(vehicle, world, [mark]), mark, None)
     return -np.inf if near is None else clearance - near.gap - leeway(mark)
@@ -156,34 +162,49 @@ def _driven(vehicle: Vehicle, parts: Sequence[tuple[Any, int]], mark: Any, secon
     return _Nearest(float(near[:, best].min()), parts[int(near[:, best].argmin())][0], nose is None, spare)
 
 
-def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None) -> _Nearest | None:
-    """The same for a flying vehicle: with its hulls if it is known to be level or its attitude is given."""
+def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None, wanted: float) -> _Nearest | None:
+    """The same for a flying vehicle: with its hulls if its attitude is given or follows from balance, or, with an
+    allowance, if it has a heading. ``wanted`` m: the distance that would do."""
     if mark.on_ground:
         return None
-    nose = heading_of(mark)
-    lean = _lean(vehicle, world.wind)
-    level = mark.velocity is not None and not np.any(mark.velocity) and lean < MOST_LEAN
-    turned = nose is None and level
-    known = turned or (nose is not None and lean < MOST_LEAN)
-    body = vehicle if known else replace(vehicle, rig=None)
-    turns = from_yaw(_HEADINGS) if turned else attitude(mark)[None]
+    nose, rests, lean = heading_of(mark), mark.velocity is not None and not np.any(mark.velocity), 0.0
+    if mark.orientation is None and not rests:
+        lean = np.inf if nose is None else _lean(vehicle, world.wind)
+    if lean >= MOST_LEAN:
+        obstacles, gaps = _gaps(replace(vehicle, rig=None), world, mark, attitude(mark)[None], seconds)
+        return _Nearest(float(gaps.min()), obstacles[int(gaps.argmin())]) if gaps.min(initial=np.inf) <= 0 else None
+    points, found = np.vstack(hulls_of(vehicle)) if vehicle.rig else np.zeros((1, 3)), None
+    turned = rests and nose is None
+    headings, width = (_HEADINGS, 2 * np.pi / TURNS) if turned else (np.array([nose or 0.0]), 0.0)
+    reach, sideways = (float(np.linalg.norm(points[:, :n], axis=1).max()) for n in (3, 2))
+    while True:
+        balanced = mark.orientation is None and rests
+        turns = upright(vehicle, headings, world.wind) if balanced else attitude(mark)[None]
+        obstacles, gaps = _gaps(vehicle, world, mark, turns, seconds)
+        if not obstacles:
+            return None
+        spare, least = width / 2 * sideways + lean * reach, gaps.min(axis=1)
+        best = int(least.argmax())
+        if found is None or least[best] > found.gap:
+            found = _Nearest(float(least[best]), obstacles[int(gaps[best].argmin())], turned)
+        hopeful = least + spare >= wanted
+        if not hopeful.any() or found.gap >= wanted or spare < FINE or not turned:
+            return replace(found, spare=spare if hopeful.any() else 0.0)
+        headings = (headings[hopeful, None] + width * np.array([-3, -1, 1, 3]) / 8).ravel()
+        width /= 4
+
+
+def _gaps(vehicle: Vehicle, world: Any, mark: Any, turns: Array, seconds: float | None) -> tuple[list[Any], Array]:
+    """What is near a mark, None for rock, and the distances from it with orientations (n, 4), (n, obstacles) m."""
     places = np.repeat(np.array([mark.position], float), len(turns), axis=0)
     obstacles, gaps = [], np.empty((len(turns), 0))
     if world.terrain is not None and not world.terrain.below(places[:1])[0]:  # routes and shots report a root in rock
-        obstacles, gaps = [None], world.clearance_from_terrain(body, places, turns)[:, None]
+        obstacles, gaps = [None], world.clearance_from_terrain(vehicle, places, turns)[:, None]
     if world.standing or (world.obstacles and seconds is not None):
         times = None if seconds is None else np.full(len(turns), seconds)
-        gaps = np.hstack([gaps, world.clearance_by_obstacle(body, places, turns, times)])
+        gaps = np.hstack([gaps, world.clearance_by_obstacle(vehicle, places, turns, times)])
         obstacles += world.obstacles
-    if not obstacles:
-        return None
-    best = int(gaps.min(axis=1).argmax())
-    gap, obstacle = float(gaps[best].min()), obstacles[int(gaps[best].argmin())]
-    if body is vehicle:
-        points = np.vstack(hulls_of(vehicle)) if vehicle.rig else np.zeros((1, 3))
-        spare = (_between(points[:, :2]) if turned else 0.0) + lean * float(np.linalg.norm(points, axis=1).max())
-        return _Nearest(gap, obstacle, turned, spare)
-    return _Nearest(gap, obstacle) if gap <= 0 else None
+    return obstacles, gaps
 
 
 def _lean(vehicle: Vehicle, wind: Any) -> float:
