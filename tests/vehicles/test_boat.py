@@ -10,6 +10,7 @@ import pytest
 import vehsim
 from vehsim.constants import AIR
 from vehsim.errors import InputError, ShotError
+from vehsim.lie.quaternions import from_vectors
 from vehsim.vehicles import State
 from vehsim.vehicles.models.boat import boat
 from vehsim.world.water.currents import Stream
@@ -64,6 +65,33 @@ def test_at_speed_it_rides_up_and_leans_into_a_turn():
     turn = vehsim.simulate(BOAT, World(water=0.0), (3000.0, 0.25), duration=8.0, step=1 / 48)
     lean = np.degrees(np.arcsin(turn.matrices()[-1, 2, 1]))  # to starboard, the outside of a turn to port
     assert turn.twists[-1, 2] > 0.3 and -8.0 < lean < -2.0
+
+
+@pytest.mark.parametrize(("thrust", "degrees"), [(4500.0, 3.0), (4500.0, 12.0), (3000.0, 14.0)])
+def test_it_leans_into_turns_steadily_and_its_plan_turns_alike(thrust, degrees):
+    """Fast and slow: its roll comes to rest with the inner side lower; the planar boat has its speed and rate."""
+    controls = (thrust, np.radians(degrees))
+    twist = vehsim.simulate(BOAT, None, controls, duration=60.0, step=1 / 24).twists[-1]
+    risen = np.array([0.0, 0.0, 0.25 if twist[1] > 10 else 0.0])
+    start = State(position=risen, twist=np.array([0, 0, twist[0], twist[1], twist[2], 0]))
+    turn = vehsim.simulate(BOAT, World(water=0.0), controls, start=start, duration=12.0, step=1 / 48)
+    last = turn.times > 9.0
+    lean = -np.degrees(np.arcsin(turn.matrices()[last, 2, 1]))
+    assert lean.min() > 1.0 and lean.max() < 12.0 and np.ptp(lean) < 1.0
+    assert turn.twists[-1, 2] == pytest.approx(twist[0], rel=0.12)
+    assert turn.twists[-1, 3] == pytest.approx(twist[1], rel=0.12)
+
+
+def test_a_roll_at_full_speed_decays():
+    """Straight ahead at 18 m/s and heeled by 8 degrees; without the rise of the water it kept rolling."""
+    start = State(
+        position=np.array([0.0, 0.0, 0.27]),
+        orientation=from_vectors(np.array([np.radians(8.0), 0.0, 0.0])),
+        twist=np.array([0, 0, 0, 18.0, 0, 0]),
+    )
+    clip = vehsim.simulate(BOAT, World(water=0.0), (4000.0, 0.0), start=start, duration=4.0, step=1 / 48)
+    roll = np.degrees(np.arcsin(clip.matrices()[:, 2, 1]))
+    assert np.abs(roll[clip.times > 2.5]).max() < 0.8
 
 
 def test_two_thrusters_match_the_paper_of_lie():

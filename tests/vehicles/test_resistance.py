@@ -14,6 +14,7 @@ from vehsim.vehicles import State
 from vehsim.vehicles.definition.resistance import ALLOWANCE, VISCOSITY, Planing, SpeedSpline, ittc57, running
 from vehsim.vehicles.library.hull_form import particulars
 from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.hull_mesh import HullMesh, wetted
 from vehsim.world.world import World
 
 BOAT = vehsim.load_vehicle("boat")
@@ -186,6 +187,26 @@ def test_particulars_of_a_prism():
 def _inward(points, faces):
     corners = points[faces]
     return np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0
+
+
+def outwards(length, beam, deadrise, height):
+    points, faces = wedge(length, beam, deadrise, height)
+    return points, faces[:, ::-1] if _inward(points, faces) else faces
+
+
+@pytest.mark.parametrize("speed", [6.5, 9.0, 14.0, 22.0])
+def test_the_volume_that_a_planing_bottom_displaces(speed):
+    """That of a prism in the hull mesh, with dry chines and with wet ones; the curve for plans follows it."""
+    planing = Planing(2.03, 0.3345, 2.21, 0.632, 0.867, 1696.0, 5.62)
+    steady = planing.at(speed)
+    prism = HullMesh(*outwards(steady.keel * 2, 2.03, 0.3345, 3.0)).refined(0.1)
+    up = np.array([np.sin(steady.trim), 0.0, np.cos(steady.trim)])
+    depth = steady.draft - prism.points @ up
+    cut = wetted(np.column_stack([prism.points, depth]), prism.faces)
+    assert planing.displaced(steady) == pytest.approx(cut.volume(up), rel=1e-3)
+    run = running(1696.0, 5.62, 10.41, planing)
+    share = np.interp(speed, run.speeds, run.immersion)
+    assert share == pytest.approx(cut.volume(up) * 1025 / 1696, rel=0.06)
 
 
 def test_two_hulls_have_no_chine_beam():

@@ -93,6 +93,13 @@ class Planing:
         resistance = weight * math.tan(tau) + friction / math.cos(tau)
         return Steady(speed, tau, ratio, keel, keel * math.sin(tau), friction, resistance), moment
 
+    def displaced(self, steady: Steady) -> float:
+        """The volume of the bottom below the undisturbed surface, m^3."""
+        b, slope, deep = self.beam, math.tan(self.deadrise), steady.draft / math.cos(steady.trim)
+        below = min(deep, b / 2 * slope)  # that part of the keel's depth at which the chines are dry
+        prism = below**3 / (3 * slope) + b * (deep**2 - below**2) / 2 - (deep - below) * b**2 * slope / 4
+        return prism / math.tan(steady.trim)
+
 
 def _raised(flat: float, degrees: float) -> float:
     """The lift coefficient with a deadrise, from that of a flat plate (eq. 16)."""
@@ -118,14 +125,15 @@ class Steady:
 class Running:
     """A hull on calm water at ``speeds`` (n,) m/s: its ``resistance`` (n,) N, and for planing hulls the ``trim`` (n,)
     rad, the ``draft`` (n,) m of the keel at the transom, NaN where it does not plane yet, and the ``share`` (n,) of its
-    way from rest to planing; ``transom`` (x, z): the end of its keel, m from the centre of
-    mass; ``length`` m of its waterline at rest."""
+    way from rest to planing; ``immersion`` (n,): what it displaces over what it displaces at rest; ``transom`` (x, z):
+    the end of its keel, m from the centre of mass; ``length`` m of its waterline at rest."""
 
     speeds: Array
     resistance: Array
     trim: Array | None = None
     draft: Array | None = None
     share: Array | None = None
+    immersion: Array | None = None
     transom: Sequence[float] = (0.0, 0.0)
     length: float = 0.0
 
@@ -138,6 +146,19 @@ class Running:
         """A quantity that changes from its value at ``rest`` to that of the ``planing`` hull."""
         share = np.zeros(len(self.speeds)) if self.share is None else self.share
         return SpeedSpline.through(self.speeds, rest + share * (planing - rest))
+
+    @property
+    def dry(self) -> SpeedSpline:
+        """The share of what it displaces at rest by which it has risen out of the water."""
+        immersion = np.ones(len(self.speeds)) if self.immersion is None else self.immersion
+        return SpeedSpline.through(self.speeds, 1 - immersion)
+
+    def lifted(self, slope: float) -> SpeedSpline:
+        """``slope`` times the speed of a hull that does not plane yet; constant where it planes, as its bottom then
+        carries the same weight at every speed."""
+        share = np.zeros(len(self.speeds)) if self.share is None else self.share
+        slowest = np.interp(1.0 - 1e-9, share, self.speeds)
+        return SpeedSpline.through(self.speeds, slope * np.minimum(self.speeds, slowest))
 
 
 def running(mass: float, length: float, area: float, planing: Planing | None, form: float = 0.0) -> Running:
@@ -152,10 +173,13 @@ def running(mass: float, length: float, area: float, planing: Planing | None, fo
     begun = 0.5 * SEA_WATER * area * first.speed**2 * float(ittc57(first.speed * length / VISCOSITY)) * (1 + form)
     resistance = friction + share * (first.resistance - begun)
     trim, draft = share * first.trim, np.full(len(speeds), np.nan)
+    rest = mass / SEA_WATER
+    immersion = 1 - share * (1 - min(planing.displaced(first) / rest, 1.0))
     for k in np.flatnonzero(speeds >= first.speed):
         steady = planing.at(float(speeds[k]))
         resistance[k], trim[k], draft[k] = steady.resistance, steady.trim, steady.draft
-    return Running(speeds, resistance, trim, draft, share, (-planing.lcg, -planing.vcg), length)
+        immersion[k] = min(planing.displaced(steady) / rest, 1.0)
+    return Running(speeds, resistance, trim, draft, share, immersion, (-planing.lcg, -planing.vcg), length)
 
 
 @dataclass(frozen=True)

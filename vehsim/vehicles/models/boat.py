@@ -140,15 +140,25 @@ def boat(
         SpeedSpline.constant(a) if run is None or not running_radius else run.between(a, b) for a, b in wet
     )
 
+    lifted, dry = (None, None) if run is None or run.trim is None else (run.lifted(impact_drag[1]), run.dry)
+    a = [*map(float, added_mass)]
+
     def resistance(twist: Expr) -> Expr:
         """`Hull`'s resistance for the upright hull; in a rotation about Z, patches move sideways in proportion to their
         distance."""
         speed = ca.sqrt(twist[1] ** 2 + twist[2] ** 2 + (wetted_radius * twist[0]) ** 2 + 1e-6)
-        ahead, across = (damping[i] + speed * (damping_quadratic[i] + impact_drag[i]) for i in (0, 1))
+        ahead = damping[0] + speed * (damping_quadratic[0] + impact_drag[0])
+        pressed = speed * impact_drag[1] if lifted is None else lifted.symbolic(speed)
+        across = damping[1] + speed * damping_quadratic[1] + pressed
         middle, spread = centre.symbolic(twist[1]), square.symbolic(twist[1])
-        side = -across * (twist[2] + middle * twist[0])
-        yaw = -across * (middle * twist[2] + spread * twist[0])
-        return ca.vertcat(yaw, -(ahead + rate.symbolic(twist[1])) * twist[1], side)
+        force = ca.vertcat(
+            -across * (middle * twist[2] + spread * twist[0]),
+            -(ahead + rate.symbolic(twist[1])) * twist[1],
+            -across * (twist[2] + middle * twist[0]),
+        )
+        if dry is not None:
+            force -= dry.symbolic(twist[1]) * _turned(a, twist)
+        return force
 
     hull = Hull(
         damping=damping,
@@ -169,7 +179,6 @@ def boat(
         channels["steer"] = Channel(value=lambda t, r, u, xi, c: -c[len(places)])
     common: dict[str, Any] = {"name": name, "controls": controls, "channels": channels, "feels_wind": any(wind_area)}
     common["default_costs"] = {"smoothness": ANSWER**2}
-    a = [*map(float, added_mass)]
 
     def on_calm_water(twist: Expr, c: Expr) -> Expr:
         return resistance(twist) + _flat(propulsion(c, _level(twist), ca.SX.ones(len(places))))
@@ -183,6 +192,13 @@ def boat(
         **common,
     )
     return Holonomic(group=SE3, inertia=(*inertia, mass, mass, mass), mass=mass, hull=hull, planar=planar, **common)
+
+
+def _turned(added_mass: Sequence[float], twist: Expr) -> Expr:
+    """Yaw moment and forces ahead and to the left of the water that a hull takes along (Kirchhoff): a rising hull takes
+    less of it."""
+    ahead, left = added_mass[3] * twist[1], added_mass[4] * twist[2]
+    return ca.vertcat(ahead * twist[2] - left * twist[1], left * twist[0], -ahead * twist[0])
 
 
 def _running(

@@ -22,7 +22,18 @@ from vehsim.lie.quaternions import cross, matrices
 from vehsim.vehicles.definition.base import State
 from vehsim.vehicles.definition.coefficients import LEVEL
 from vehsim.world.water.height_field import MOST, WaterField
-from vehsim.world.water.hull_mesh import COLUMNS, DEPTH, HEAD, PLACE, THROUGH, HullMesh, Wetted, read_hull, wetted
+from vehsim.world.water.hull_mesh import (
+    COLUMNS,
+    DEPTH,
+    HEAD,
+    PLACE,
+    RISEN,
+    THROUGH,
+    HullMesh,
+    Wetted,
+    read_hull,
+    wetted,
+)
 from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.motion import Motion
 from vehsim.world.water.potential import Response, response
@@ -284,17 +295,17 @@ class Afloat(Environment):
         columns[:, PLACE], columns[:, DEPTH] = points, motion.height[:n] - world[:, 2]
         columns[:, THROUGH] = velocity + cross(omega, points) - motion.velocity[:n] @ R_wb
         columns[:, HEAD] = columns[:, DEPTH] - motion.fade[:n]
-        wet = wetted(columns, faces)
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0
         lift = self.law.at(float((velocity - elsewhere.velocity[: len(self.response.points)].mean(axis=0) @ R_wb)[0]))
+        wet, splashed = self.under(columns, faces, up, lift)
         fastest = float(np.sqrt((columns[:, THROUGH] ** 2).sum(axis=1).max()))
         speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air, any part may hit the water next
         if len(wet.normals):
             volume = wet.volume(up)
             immersion = min(1.0, max(0.0, volume / self.rest_volume))
-            torque_force, entering, into = self.surface(wet, lift)
+            torque_force, entering, into = self.surface(wet, splashed, lift)
             speeds = (into, fastest)
         forces = Forces(torque_force, volume, immersion, speeds, lift)
         depths = elsewhere.height - places[n:, 2]
@@ -302,9 +313,26 @@ class Afloat(Environment):
         self._last = (state, forces)
         return forces
 
-    def surface(self, wet: Wetted, lift: Lift) -> tuple[Array, float, float]:
-        """Body wrench (6,) of pressure and resistance on the wetted surface; its volume rate (m^3/s) and speed (m/s)
-        into the water."""
+    def under(self, columns: Array, faces: Any, up: Array, lift: Lift) -> tuple[Wetted, Wetted]:
+        """The wetted part of ``faces`` of `mesh`, and that on which planing pressure acts: up to where the water rises
+        along the bottom. ``columns`` (n, COLUMNS) of their nodes; their `RISEN` is set here."""
+        if not lift.rise:
+            wet = wetted(columns, faces)
+            return wet, wet
+        keel, up_by = self._keel[: len(columns)], columns[:, PLACE] @ up
+        deep = columns[:, DEPTH] + up_by - columns[:, 0] * up[0] - keel * up[2]
+        columns[:, RISEN] = columns[:, DEPTH] + lift.risen(deep, columns[:, PLACE], keel, columns[:, THROUGH])
+        bottom, sides = faces[self.mesh.bottom], wetted(columns, faces[~self.mesh.bottom])
+        return wetted(columns, bottom) + sides, wetted(columns, bottom, RISEN) + sides
+
+    @cached_property
+    def _keel(self) -> Array:
+        """Heights of the keel at the nodes of `mesh`, m."""
+        return self.mesh.keel(self.mesh.quadratic[0][:, 0])
+
+    def surface(self, wet: Wetted, splashed: Wetted, lift: Lift) -> tuple[Array, float, float]:
+        """Body wrench (6,) of pressure and resistance on the ``wet`` surface and of planing pressure on the
+        ``splashed`` one; volume rate (m^3/s) and speed (m/s) of ``wet`` into the water."""
         hull, rho = self.data, self.water.density
         middles, normals = wet.middles, wet.normals
         area = np.sqrt(np.einsum("ki,ki->k", normals, normals))
@@ -316,13 +344,10 @@ class Afloat(Environment):
         fastest = 0.0
         force = -pressure[:, :, None] * normals[:, None]
         if hull.impact or lift.planing or lift.vented:
-            over = normals if lift.transom is None else normals * [0.0, 1.0, 1.0]
-            speed = np.maximum(np.einsum("kqi,ki->kq", through, over), 0.0) / np.maximum(area, 1e-300)[:, None]
+            over, speed = _entering(wet, lift)
             fastest = float((speed * area[:, None]).sum()) / 3 / self._scales[0]
-            along = np.sqrt(np.einsum("kqi,kqi->kq", through, through)) if lift.planing else 0.0
-            load = 0.5 * rho * speed * (hull.impact * speed + lift.planing * along)
-            if lift.vented:
-                load -= lift.missing(middles[:, :, 0]) * np.maximum(pressure + load, 0.0)
+            load = 0.5 * rho * hull.impact * speed**2
+            load -= lift.missing(middles[:, :, 0]) * np.maximum(pressure + load, 0.0)
             force -= load[:, :, None] * over[:, None]
         if np.any(hull.damping) or np.any(hull.quadratic) or lift.rate:
             rate = np.add(hull.damping, (lift.rate, 0.0, 0.0))
@@ -330,9 +355,13 @@ class Afloat(Environment):
                 size = np.sqrt(np.einsum("kqi,kqi->kq", through, through))
                 rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
             force -= (area / self.reference_area)[:, None, None] * rate * through
-        force, arms = force.reshape(-1, 3) / 3, middles[:, :, PLACE].reshape(-1, 3)
-        (_, xy, xz), (yx, _, yz), (zx, zy, _) = arms.T @ force
-        wrench = np.array([yz - zy, zx - xz, xy - yx, *(np.ones(len(force)) @ force)])
+        wrench = _total(force, middles)
+        if lift.planing:
+            middles = splashed.middles
+            over, speed = _entering(splashed, lift)
+            along = np.sqrt(np.einsum("kqi,kqi->kq", middles[:, :, THROUGH], middles[:, :, THROUGH]))
+            load = 0.5 * rho * lift.planing * speed * along * (1 - lift.missing(middles[:, :, 0]))
+            wrench -= _total(load[:, :, None] * over[:, None], middles)
         return wrench, float(into.sum() / 3), fastest
 
     def _couple(
@@ -415,6 +444,22 @@ class Forces:
     immersion: float
     speeds: tuple[float, float]
     lift: Lift
+
+
+def _entering(wet: Wetted, lift: Lift) -> tuple[Array, Array]:
+    """Normals (k, 3) of the pressure of water that triangles move into, with their areas as lengths, and the speed
+    (k, 3) into it at the middles of their edges, m/s."""
+    over = wet.normals if lift.transom is None else wet.normals * [0.0, 1.0, 1.0]
+    area = np.sqrt(np.einsum("ki,ki->k", wet.normals, wet.normals))
+    speed = np.maximum(np.einsum("kqi,ki->kq", wet.middles[:, :, THROUGH], over), 0.0)
+    return over, speed / np.maximum(area, 1e-300)[:, None]
+
+
+def _total(force: Array, middles: Array) -> Array:
+    """Wrench (6,) about the body's origin of forces (k, 3, 3) N over triangles, at the ``middles`` of their edges."""
+    force, arms = force.reshape(-1, 3) / 3, middles[:, :, PLACE].reshape(-1, 3)
+    (_, xy, xz), (yx, _, yz), (zx, zy, _) = arms.T @ force
+    return np.array([yz - zy, zx - xz, xy - yx, *(np.ones(len(force)) @ force)])
 
 
 def _body(state: State, origin: Array) -> tuple[Array, Array, Array, Array]:

@@ -23,9 +23,12 @@ MAX_FACES = 200_000
 CHECKED_FACES = 20_000
 """Hulls with more faces are not checked for self-intersection, which would take minutes."""
 
-PLACE, DEPTH, THROUGH, HEAD, COLUMNS = slice(3), 3, slice(4, 7), 7, 8
+PLACE, DEPTH, THROUGH, HEAD, RISEN, COLUMNS = slice(3), 3, slice(4, 7), 7, 8, 9
 """Columns of a floating hull's nodes: place (m) and velocity through the water (m/s) in body axes, depth below the
-surface (m), and the depth (m) of still water with the same pressure; the number of columns."""
+surface (m), the depth (m) of still water with the same pressure, and the depth (m) below water that rises along the
+bottom; the number of columns."""
+STEEP = 0.5
+"""Faces whose normals point downwards by less than this share belong to the sides: the flow separates below them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +145,22 @@ class HullMesh:
         middles = (self.points[a] + self.points[b]) / 2
         return np.concatenate([self.points, middles]), np.concatenate([self.faces, len(self.points) + index], axis=1)
 
+    def keel(self, x: Array) -> Array:
+        """Heights (n,) m of the lower convex envelope of the hull, seen from the side, at ``x`` (n,) m."""
+        from scipy.spatial import ConvexHull
+
+        side = self.points[:, [0, 2]]
+        around = side[ConvexHull(side).vertices]  # counter-clockwise: from its least x, the lower envelope comes first
+        around = np.roll(around, -int(np.lexsort((around[:, 1], around[:, 0]))[0]), axis=0)
+        lower = around[: int(around[:, 0].argmax()) + 1]
+        return np.asarray(np.interp(x, lower[:, 0], lower[:, 1]))
+
+    @cached_property
+    def bottom(self) -> NDArray[np.bool_]:
+        """Whether each face (m,) belongs to the bottom; see `STEEP`."""
+        normals = _normals(self.points[self.faces])
+        return np.asarray(normals[:, 2] < -STEEP * np.linalg.norm(normals, axis=1))
+
     def replaced(self, points: Array, faces: Faces) -> HullMesh:
         """A hull whose surface is known to be valid."""
         other = object.__new__(HullMesh)
@@ -165,6 +184,10 @@ class Wetted:
 
     middles: Array
     normals: Array
+
+    def __add__(self, other: Wetted) -> Wetted:
+        """Both together."""
+        return Wetted(np.concatenate([self.middles, other.middles]), np.concatenate([self.normals, other.normals]))
 
     @property
     def corners(self) -> Array:

@@ -18,7 +18,7 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import cross
 from vehsim.vehicles.definition.resistance import SpeedSpline
-from vehsim.world.water.hull_mesh import THROUGH, HullMesh, Wetted, wetted
+from vehsim.world.water.hull_mesh import COLUMNS, DEPTH, HEAD, PLACE, THROUGH, HullMesh, Wetted
 
 if TYPE_CHECKING:
     from vehsim.vehicles.definition.hydrodynamics import Hull
@@ -33,13 +33,27 @@ class Lift:
 
     With a ``transom`` (x, length) m, the bottom is that of a planing hull: this pressure and slamming act across the
     keel only, as on Savitsky's hulls; and a ``vented`` share of the pressure is missing at the transom, where the water
-    leaves, and none from ``length`` ahead of it.
+    leaves, and none from ``length`` ahead of it. Water rises along the bottom (Wagner 1932), by ``rise`` times the
+    depth of the keel below the undisturbed surface, and the planing pressure acts up to there; see `risen`.
     """
 
     planing: float = 0.0
     vented: float = 0.0
     rate: float = 0.0
     transom: tuple[float, float] | None = None
+    rise: float = 0.0
+
+    def risen(self, deep: Array, places: Array, keel: Array, through: Array) -> Array:
+        """How much the water rises at ``places`` (n, 3) of the bottom, m, where the keel is ``deep`` (n,) m below the
+        undisturbed surface and at the heights ``keel`` (n,).
+
+        Each half of a wedge has its own rise, in proportion to its speed into the water: a drifting or rolling hull has
+        more on one side (at most `UNEVEN` times that of both), so that boats lean into turns. ``through`` (n, 3) m/s.
+        """
+        down = max(-float(through[:, 2].mean()), 1e-3)
+        slope = (places[:, 2] - keel) / np.maximum(np.abs(places[:, 1]), 1e-9)
+        entering = slope * np.sign(places[:, 1]) * through[:, 1] - through[:, 2]
+        return self.rise * np.maximum(deep, 0.0) * np.clip(entering / down, 0.0, UNEVEN)
 
     def missing(self, x: Array) -> Array:
         """The share of the pressure that is missing at ``x`` m ahead of the body frame's origin."""
@@ -56,11 +70,13 @@ class Law:
     vented: SpeedSpline
     rate: SpeedSpline
     transom: tuple[float, float] | None = None
+    rise: SpeedSpline | None = None
 
     def at(self, speed: float) -> Lift:
         """The law at ``speed`` m/s through the water; astern there is only resistance."""
         fore = max(speed, 0.0)
-        return Lift(self.planing(fore), self.vented(fore), self.rate(speed), self.transom)
+        rise = 0.0 if self.rise is None else max(self.rise(fore), 0.0)
+        return Lift(self.planing(fore), self.vented(fore), self.rate(speed), self.transom, rise)
 
 
 class Boat(Protocol):
@@ -77,12 +93,19 @@ class Boat(Protocol):
     @property
     def rest_volume(self) -> float: ...
 
-    def surface(self, wet: Wetted, lift: Lift) -> tuple[Array, float, float]:
-        """Body wrench (6,) on the wetted surface, and two rates."""
+    def under(self, columns: Array, faces: Any, up: Array, lift: Lift) -> tuple[Wetted, Wetted]:
+        """The wetted surface, and that on which planing pressure acts."""
+
+    def surface(self, wet: Wetted, splashed: Wetted, lift: Lift) -> tuple[Array, float, float]:
+        """Body wrench (6,) on these surfaces, and two rates."""
 
 
 VENTED = 0.5
 """Length of the bottom in front of the transom where pressure is missing, over that of the waterline: our choice."""
+WAGNER = np.pi / 2 - 1
+"""Rise of the water along a wedge that moves into it, over the depth of its keel (Wagner 1932)."""
+UNEVEN = 3.0
+"""Largest rise on one side over that of a wedge that does not drift: our choice."""
 MOST = 0.3
 """Largest trim at rest, rad."""
 SLOW = 0.4
@@ -100,20 +123,22 @@ def law_of(boat: Boat) -> Law:
     first = int(np.flatnonzero(np.isfinite(running.draft))[0])
     transom = (float(running.transom[0]), VENTED * running.length)
     rows = np.zeros((len(speeds), 3))
-    guess = Lift(1.0, 1.0, running.resistance[first] / speeds[first], transom)
+    rise = WAGNER * running.share
+    guess = Lift(1.0, 1.0, running.resistance[first] / speeds[first], transom, WAGNER)
     for k in range(first, len(speeds)):
         guess = _planing(boat, running, k, guess)
         rows[k] = guess.planing, guess.vented, guess.rate
-    guess, still = Lift(rows[first, 0], rows[first, 1], rows[first, 2], transom), _trim_at_rest(boat)
+    guess, still = Lift(rows[first, 0], rows[first, 1], rows[first, 2], transom, WAGNER), _trim_at_rest(boat)
     running = replace(running, trim=running.trim + (1 - running.share) * still)
     for k in range(first - 1, slow - 1, -1):
-        guess = _slow(boat, running, k, replace(guess, planing=rows[first, 0] * speeds[k] / speeds[first]))
+        planing = rows[first, 0] * speeds[k] / speeds[first]
+        guess = _slow(boat, running, k, replace(guess, planing=planing, rise=rise[k]))
         rows[k] = guess.planing, guess.vented, guess.rate
     usual = running.resistance / np.maximum(speeds, 1e-9)
     share = speeds[:slow] / speeds[slow]
     rows[:slow] = rows[slow] * np.column_stack([share, share**2, usual[:slow] / usual[slow]])
     planing, vented, rate = (SpeedSpline.through(speeds, column) for column in rows.T)
-    return Law(planing, vented, rate, transom)
+    return Law(planing, vented, rate, transom, SpeedSpline.through(speeds, rise))
 
 
 def _planing(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
@@ -121,13 +146,14 @@ def _planing(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
     but it never displaces more than at rest."""
     (x, z), trim = running.transom, float(running.trim[k])
     floats = _floats(boat, trim)
-    wet = _cut(boat, trim, max(floats, -float(running.draft[k]) - x * np.sin(trim) - z * np.cos(trim)))
+    height = max(floats, -float(running.draft[k]) - x * np.sin(trim) - z * np.cos(trim))
 
-    def wrong(y: Array) -> Array:
-        return _unbalanced(boat, running, k, wet, Lift(y[0], y[1], y[2] * guess.rate, guess.transom))
+    def lift(y: Array) -> Lift:
+        return replace(guess, planing=float(y[0]), vented=float(y[1]), rate=float(y[2]) * guess.rate)
 
-    y = _zero(boat, float(running.speeds[k]), wrong, [guess.planing, guess.vented, 1.0])
-    return Lift(float(y[0]), float(y[1]), float(y[2] * guess.rate), guess.transom)
+    start = [guess.planing, guess.vented, 1.0]
+    y = _zero(boat, running.speeds[k], lambda y: _unbalanced(boat, running, k, height, lift(y)), start)
+    return lift(y)
 
 
 def _slow(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
@@ -135,24 +161,23 @@ def _slow(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
     trim = float(running.trim[k])
     floats = _floats(boat, trim)
 
-    def wrong(y: Array) -> Array:
-        lift = Lift(guess.planing, y[1], y[2] * guess.rate, guess.transom)
-        return _unbalanced(boat, running, k, _cut(boat, trim, floats + y[0]), lift)
+    def lift(y: Array) -> Lift:
+        return replace(guess, vented=float(y[1]), rate=float(y[2]) * guess.rate)
 
-    y = _zero(boat, float(running.speeds[k]), wrong, [0.0, guess.vented, 1.0])
-    return Lift(guess.planing, float(y[1]), float(y[2] * guess.rate), guess.transom)
+    start = [0.0, guess.vented, 1.0]
+    y = _zero(boat, running.speeds[k], lambda y: _unbalanced(boat, running, k, floats + float(y[0]), lift(y)), start)
+    return lift(y)
 
 
-def _unbalanced(boat: Boat, running: Any, k: int, wet: Wetted, lift: Lift) -> Array:
-    """Pitch moment and forces along and across the keel at the ``k``-th speed, over weight and weight times length."""
+def _unbalanced(boat: Boat, running: Any, k: int, height: float, lift: Lift) -> Array:
+    """Pitch moment and forces along and across the keel at the ``k``-th speed, over weight and weight times length,
+    with the body frame's origin ``height`` m above calm water."""
     speed, trim = float(running.speeds[k]), float(running.trim[k])
     push = np.array([float(running.resistance[k]) / np.cos(trim), 0.0, 0.0])
     places = boat.data.propulsor_points
     at = places.mean(axis=0) if len(places) else np.zeros(3)
     weight = boat.mass * GRAVITY
-    columns = wet.middles.copy()
-    columns[:, :, THROUGH] = speed * np.array([np.cos(trim), 0.0, -np.sin(trim)])
-    total = boat.surface(Wetted(columns, wet.normals), lift)[0]
+    total = boat.surface(*_cut(boat, trim, height, speed, lift), lift)[0]
     total = total + np.concatenate([cross(at, push), push - weight * _up(trim)])
     return np.asarray(total[[1, 3, 5]] / weight / [running.length, 1.0, 1.0])
 
@@ -174,11 +199,13 @@ def _up(trim: float) -> Array:
     return np.array([np.sin(trim), 0.0, np.cos(trim)])
 
 
-def _cut(boat: Boat, trim: float, height: float) -> Wetted:
-    """The wetted surface with the body frame's origin ``height`` m above calm water, as `Boat.surface` takes it."""
-    points = boat.mesh.points
-    depth, zeros = -height - points @ _up(trim), np.zeros((len(points), 3))
-    return wetted(np.column_stack([points, depth, zeros, depth]), boat.mesh.faces)
+def _cut(boat: Boat, trim: float, height: float, speed: float = 0.0, lift: Lift | None = None) -> tuple[Wetted, Wetted]:
+    """The surfaces that `Boat.surface` takes, with the body frame's origin ``height`` m above calm water."""
+    points, up = boat.mesh.points, _up(trim)
+    columns = np.zeros((len(points), COLUMNS))
+    columns[:, PLACE], columns[:, DEPTH] = points, -height - points @ up
+    columns[:, HEAD], columns[:, THROUGH] = columns[:, DEPTH], speed * np.array([up[2], 0.0, -up[0]])
+    return boat.under(columns, boat.mesh.faces, up, lift or Lift())
 
 
 def _trim_at_rest(boat: Boat) -> float:
@@ -186,7 +213,7 @@ def _trim_at_rest(boat: Boat) -> float:
     from scipy.optimize import brentq
 
     def moment(trim: float) -> float:
-        return float(boat.surface(_cut(boat, trim, _floats(boat, trim)), Lift())[0][1])
+        return float(boat.surface(*_cut(boat, trim, _floats(boat, trim)), Lift())[0][1])
 
     ends = (-MOST, MOST)
     return float(brentq(moment, *ends, xtol=1e-9)) if moment(ends[0]) * moment(ends[1]) < 0 else 0.0
@@ -198,5 +225,5 @@ def _floats(boat: Boat, trim: float) -> float:
 
     up = _up(trim)
     heights = -boat.mesh.points @ up
-    volume = lambda height: _cut(boat, trim, height).volume(up) - boat.rest_volume
+    volume = lambda height: _cut(boat, trim, height)[0].volume(up) - boat.rest_volume
     return float(brentq(volume, heights.min(), heights.max(), xtol=1e-12))
