@@ -9,9 +9,11 @@ import pytest
 import vehsim
 from vehsim import Mark
 from vehsim.errors import InputError
-from vehsim.planning.request.marks_near_obstacles import marks_too_near
+from vehsim.lie.quaternions import yaw_of
+from vehsim.planning.certificates import FINEST
+from vehsim.planning.request.marks_near_obstacles import facing_clear, marks_too_near
 from vehsim.planning.trim import steady, upright
-from vehsim.world.obstacles.obstacles import moving
+from vehsim.world.obstacles.obstacles import box, moving
 
 REST = (0.0, 0.0, 0.0)
 ROTORS = {
@@ -96,3 +98,49 @@ def test_a_mark_too_near_to_rock_is_refused_at_any_heading(asset, into):
     assert found(free, gap + 0.3, Mark(300, position=(32, 0, 26), velocity=REST, on_ground=True)) == []
     with pytest.raises(InputError, match=r"mark\[1\].position = .*into rock at any heading"):
         vehsim.plan(heli, world, [Mark(1, position=(0, 0, 30), velocity=REST), near])
+
+
+@pytest.mark.parametrize("seconds, distance, aside, swing", [(12, 60, 0.15, 1.0), (20, 300, 1.0, 4.0)])
+def test_a_helicopter_flies_straight_although_its_torque_changes_with_speed(seconds, distance, aside, swing):
+    """With least effort alone, the nose swings by 4 and 12 degrees and the path by 0.7 and 1.7 m."""
+    heli, ends = helicopter("leaning"), ((1, 0), (1 + 24 * seconds, distance))
+    marks = [Mark(frame, position=(x, 0, 20), heading=0, velocity=REST) for frame, x in ends]
+    clip = vehsim.plan(heli, None, marks, refine=False).clip
+    assert np.abs(clip.positions[:, 1]).max() < aside
+    assert np.degrees(np.abs(yaw_of(clip.orientations))).max() < swing
+    free = vehsim.plan(heli, None, marks, refine=False, cost={"effort": 1.0, "turning": 0.0}).clip
+    assert np.abs(free.positions[:, 1]).max() > 1.2 * aside
+    assert np.degrees(np.abs(yaw_of(free.orientations))).max() > 2 * swing
+
+
+def slot():
+    walls = [box(f"wall{s}", (0, s * 36.5, 0), (6, 60, 120)) for s in (1, -1)]
+    return vehsim.World(obstacles=walls)
+
+
+@pytest.mark.parametrize("heading, wrong", [(0, "only 0.98 m from obstacle 'wall1'"), (45, "")])
+def test_a_slot_that_only_the_level_hulls_fit_is_refused_with_a_clearance_that_will_do(heading, wrong):
+    """13 m between walls for 10.7 m and a clearance of 1 m: level, it has 1.12 m on either side; leaning, 0.98 m."""
+    world, start = slot(), Mark(1, position=(-40, 0, 12), heading=0, velocity=REST)
+    marks = [start, Mark(289, position=(0, 0, 12), heading=heading, velocity=REST)]
+    assert not list(marks_too_near(helicopter("helicopter_lie"), world, marks, 1.0))
+    found = list(marks_too_near(helicopter("leaning"), world, marks, 1.0))
+    assert [message for _, message, _ in found] == [wrong] * bool(wrong)
+    if found:
+        assert found[0][2] == "keep the clearance of 1 m, or reduce it to 0.97"
+    assert not list(marks_too_near(helicopter("leaning"), world, marks, 0.97))
+
+
+@pytest.mark.parametrize("asset, turned", [("helicopter_lie", 0), ("leaning", 6)])
+def test_a_mark_without_a_heading_is_turned_until_the_leaning_hulls_have_room(asset, turned):
+    """Along its leg, in the slot, it would have 0.98 m; its rotor, a polygon of hulls, is narrower 6 degrees beside."""
+    heli, start = helicopter(asset), Mark(1, position=(-40, 0, 12), heading=0, velocity=REST)
+    given = [start, *(Mark(f, position=(0, 0, 12), velocity=REST, hold=n) for f, n in ((289, 24), (313, 0)))]
+    faced = [start, *(replace(mark, heading=0.0) for mark in given[1:])]
+    found = facing_clear(heli, slot(), given, faced, 1.0, 24)
+    assert [abs(mark.heading) for mark in found] == [0, turned, turned] and found[1].heading == found[2].heading
+    gaps = slot().clearance(heli, np.tile([0.0, 0, 12], (4, 1)), upright(heli, np.radians([0, 2, 4, 6])))
+    assert ((gaps > 1 - FINEST) == (np.array([0, 2, 4, 6]) >= turned)).all()
+    assert not list(marks_too_near(heli, slot(), found, 1.0, 24))
+    # a given heading stays
+    assert facing_clear(heli, slot(), faced, faced, 1.0, 24) == faced

@@ -42,6 +42,7 @@ from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS
 from vehsim.planning.request.legs import facing, same_headings
 from vehsim.planning.request.marks import Mark, shape
+from vehsim.planning.request.marks_near_obstacles import facing_clear
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, restrain, without_character
 from vehsim.planning.solve import begin, give_up, solve
@@ -459,9 +460,14 @@ def _presses(iterate: Iterate) -> bool:
 
 
 def _facing(request: Request, paths: Sequence[Array]) -> Request:
-    """The request with marks at rest turned along their legs, if the cost includes `course`."""
-    turned = facing(request.marks, paths, request.aimed) if request.weights["course"] else request.marks
-    return request if turned == request.marks else replace(request, marks=turned, given=request.marks)
+    """The request with marks at rest turned along their legs, if the cost includes `course`, or as near to them as the
+    vehicle has room."""
+    given = request.marks
+    turned = facing(given, paths, request.aimed) if request.weights["course"] else given
+    if turned == given:
+        return request
+    turned = facing_clear(request.vehicle, request.world, given, turned, request.clearance, request.fps)
+    return replace(request, marks=turned, given=given)
 
 
 def at_marks(iterate: Iterate, request: Request, cover: SphereCover | None) -> Iterate:

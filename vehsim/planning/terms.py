@@ -221,6 +221,11 @@ def _level(s: SegmentView) -> Expr:
     return (s.end.position[2] - s.start.position[2]) ** 2 / s.h
 
 
+def _turning(s: SegmentView) -> Expr:
+    """Squared rate of turning about the body's Z axis, integrated over time, 1/s."""
+    return _mean(lambda k: k.omega[2] ** 2, s)
+
+
 def _steered(s: SegmentView) -> Expr:
     """Squared tangent of the steering angle, integrated over time; vehicles that steer wheels."""
     return _mean(lambda k: _steering(k) ** 2, s)
@@ -258,6 +263,7 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
         "spin": _spin,
         "course": _course,
         "level": _level,
+        "turning": _turning,
         "energy": _work,
         "steering": _steered,
         "safety": _safety,

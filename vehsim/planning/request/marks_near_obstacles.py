@@ -100,6 +100,28 @@ def marks_too_near(
             yield i, f"in {where}", "move the mark or the obstacle"
 
 
+def facing_clear(
+    vehicle: Vehicle, world: Any, given: Sequence[Mark], turned: Sequence[Mark], clearance: float, fps: Any
+) -> list[Mark]:
+    """The marks ``turned``, with each heading that ``given`` leaves free, and at which the vehicle is too near to
+    something, replaced by the nearest one at which it is not; unchanged without one."""
+    marks = list(turned)
+    landed = [mark for mark in marks if mark.on_ground]
+    for i in [i for i, *_ in marks_too_near(vehicle, world, turned, clearance, fps)]:
+        mark = marks[i]
+        if i and marks[i - 1].hold:
+            marks[i] = replace(mark, heading=marks[i - 1].heading)
+        elif heading_of(given[i]) is None and mark.heading is not None:
+            tried = [mark.heading + side * angle for angle in range(2, 181, 2) for side in (1, -1)]
+            there = (replace(mark, heading=heading) for heading in tried)
+            marks[i] = next((at for at in there if not _near_first(vehicle, world, at, landed, clearance, fps)), mark)
+    return marks
+
+
+def _near_first(vehicle: Vehicle, world: Any, mark: Mark, landed: Sequence[Mark], clearance: float, fps: Any) -> bool:
+    return any(i == 0 for i, *_ in marks_too_near(vehicle, world, [mark, *landed], clearance, fps))
+
+
 def nearest_clear(
     vehicle: Vehicle, world: Any, mark: Any, clearance: float, moved: Callable[[list[float]], Any]
 ) -> list[float] | None:
