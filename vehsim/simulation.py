@@ -85,7 +85,9 @@ def simulate(
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
     actuators = actuators and vehicle.actuated
-    weighed = on_terrain(vehicle, world, None if everywhere else _reach(begin, steps * h))
+    near = None if everywhere else _reach(begin, steps * h)
+    ground = world.on_level([begin.position], near) if isinstance(world, World) and near is not None else world
+    weighed = on_terrain(vehicle, ground, near)
     environment = world.environment(vehicle, start_time=start_frame / float(rate)) if isinstance(world, World) else None
     if environment is not None:
         cuts = substeps(h, environment)
@@ -304,7 +306,8 @@ def _standing(vehicle: Vehicle, world: World | None, given: State | None) -> Sta
     position = np.asarray(start.position, float).ravel()
     if position.shape != (3,) or not np.all(np.isfinite(position)):
         raise InputError("not a position", "give 3 finite numbers", key="state.position", value=start.position)
-    ground, end = float(np.ravel(world.height(position[None, :2]))[0]), world.terrain.beyond(position)
+    ground = float(np.ravel(world.on_level([position]).height(position[None, :2]))[0])
+    end = world.terrain.beyond(position)
     if end:
         message = f"{vehicle.name}: starts at {position[:2].tolist()}, outside the terrain, which ends at {end}"
         warnings.warn(f"{message}; the ground there is level and not drawn", stacklevel=3)

@@ -11,10 +11,8 @@ import trimesh
 from elementary import ExactDistance
 from scipy.spatial.transform import Rotation
 
-from vehsim.errors import InputError
 from vehsim.exporters.checks.audit import _Ground
 from vehsim.world import obstacles
-from vehsim.world.contact.contact import Contact, ContactScene
 from vehsim.world.distance.field import distance_field
 from vehsim.world.ground.rock import rock_met
 from vehsim.world.terrain.surface import open_edges
@@ -160,7 +158,7 @@ def test_an_arch_in_utm_coordinates_is_as_exact(terrains, meshes, vehicle, poses
     np.testing.assert_allclose(far[near > 0], near[near > 0], atol=1e-6)
 
 
-# ---------------------------------------------------------------- vehicles on the ground, and contact
+# ---------------------------------------------------------------- vehicles on the ground
 
 
 def test_a_vehicle_that_drives_into_a_wall_or_roof_is_found(terrains, vehicle):
@@ -176,11 +174,6 @@ def test_a_vehicle_that_drives_into_a_wall_or_roof_is_found(terrains, vehicle):
     frame, place = rock_met(clip(np.array([-5.0, -6.0, -9.0])), world)
     assert frame == 1003 and place[0] < -12
     assert rock_met(clip(np.array([-9.0])), World()) is None
-
-
-def test_contact_with_overhangs_is_refused(terrains):
-    with pytest.raises(InputError, match=r"world\.contact.*overhangs"):
-        ContactScene({}, World(terrains["arch"]), Contact())
 
 
 # ---------------------------------------------------------------- distances

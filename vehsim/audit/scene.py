@@ -54,13 +54,15 @@ class WorldScene(Scene):
 
 
 def can_hit(vehicle: Any, world: Any) -> bool:
-    """Whether there is anything from which a vehicle must keep clear: on the ground, obstacles only."""
-    flies = world is not None and world.terrain is not None and not vehicle.group.planar
-    return vehicle.rig is not None and world is not None and bool(world.obstacles or flies)
+    """Whether there is anything from which a vehicle must keep clear: on the ground, obstacles, walls and roofs."""
+    terrain = None if world is None else world.terrain
+    near = terrain is not None and not (vehicle.group.planar and terrain.surface is None)
+    return vehicle.rig is not None and world is not None and bool(world.obstacles or near)
 
 
 def distances(clip: Clip, world: Any) -> Array:
-    """Signed distance (n,) m of a vehicle to terrain and obstacles, on the ground to obstacles, at every sample."""
+    """Signed distance (n,) m of a vehicle to terrain and obstacles, on the ground to obstacles and the walls and roofs
+    of a terrain with overhangs, at every sample."""
     poses, seconds = (clip.positions, clip.orientations), clip.frames / float(clip.fps)
     return _away(world, clip.vehicle, *poses, seconds, clip.channels, clip.vehicle.group.planar)
 
@@ -70,7 +72,10 @@ def _away(
 ) -> Array:
     if obstacles_only:
         found = world.clearance_by_obstacle(vehicle, positions, orientations, seconds, channels)
-        return np.asarray(found.min(axis=1, initial=np.inf))
+        walls = np.inf
+        if vehicle.group.planar:
+            walls = world.clearance_from_walls(vehicle, positions, orientations, channels)
+        return np.minimum(found.min(axis=1, initial=np.inf), walls)
     return np.asarray(world.clearance(vehicle, positions, orientations, seconds))
 
 

@@ -39,7 +39,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
             blocks.append(Landing(marks, i))
     if request.loop:
         blocks.append(Loop())
-    parts = parts_in_reach(request.vehicle, request.world, marks)
+    parts = parts_in_reach(request.vehicle, request.world, marks, request.clearance)
     if parts:
         blocks.append(ObstacleClearance(request.vehicle, parts, request.clearance))
     blocks += [PathConstraint(term, marks, number) for number, term in enumerate(constraints)]

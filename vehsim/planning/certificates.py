@@ -60,7 +60,28 @@ def certify(
     if world is None or (world.terrain is None and not world.obstacles) or len(clip) < 2:
         return float("inf")
     add = less or (lambda positions: np.zeros(len(positions)))
-    return _nearest(_Hulls(clip, world, add, slope), samples, progress)[0]
+
+    def measured(motion: Clip, seconds: Array) -> Array:
+        poses = motion.positions, motion.orientations
+        return np.asarray(world.clearance(clip.vehicle, *poses, seconds) + add(motion.positions))
+
+    moving = [o for o in world.obstacles if o.moves]
+    return _nearest(_Hulls(clip, measured, moving, slope), samples, progress)[0]
+
+
+def certify_walls(clip: Clip, world: Any) -> tuple[float, Array]:
+    """Smallest distance (m) between a vehicle that stands on the ground and the rock's walls and roofs, to `FINEST`,
+    and the same per interval of the clip.
+
+    Distances are exact, of the hulls to the rock's triangles, as the vehicle leans on its ground.
+    """
+
+    def measured(motion: Clip, seconds: Array) -> Array:
+        poses = motion.positions, motion.orientations
+        return np.asarray(world.clearance_from_walls(clip.vehicle, *poses, motion.channels))
+
+    nearest, by_segment = _nearest(_Hulls(clip, measured), samples=1)
+    return nearest, by_segment[0]
 
 
 def certify_plane(
@@ -140,19 +161,24 @@ class _Measure(ABC):
 
 
 class _Hulls(_Measure):
-    """Distances of hulls to everything in a world, in one row; each pose is measured once."""
+    """Distances of hulls, measured at poses and seconds since frame 0, in one row; each pose is measured once."""
 
-    def __init__(self, clip: Clip, world: Any, less: Callable[[Array], Array], slope: float) -> None:
-        super().__init__(clip, [o for o in world.obstacles if o.moves], reach(clip.vehicle))
-        self.world, self.less, self.slope = world, less, slope
+    def __init__(
+        self,
+        clip: Clip,
+        measured: Callable[[Clip, Array], Array],
+        moving: Sequence[Moving] = (),
+        slope: float = 0.0,
+    ) -> None:
+        super().__init__(clip, moving, reach(clip.vehicle))
+        self.measured, self.slope = measured, slope
         self.known: dict[float, float] = {}
 
     def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
         motion = self.clip.at(times)
         new = np.array([k for k, t in enumerate(times.tolist()) if t not in self.known], int)
         if len(new):
-            poses = motion.positions[new], motion.orientations[new]
-            found = self.world.clearance(self.clip.vehicle, *poses, self.start + times[new]) + self.less(poses[0])
+            found = self.measured(self.clip.at(times[new]), self.start + times[new])
             self.known.update(zip(times[new].tolist(), found.tolist(), strict=True))
         travelled, turn, others = self.travel(times, motion, pairs)
         moved = (1 + self.slope) * travelled + turn + np.max(others, axis=0, initial=0.0)

@@ -58,7 +58,7 @@ def _before(clip: Clip, first: int, world: World) -> Clip:
     wind = np.asarray(world.wind, float)
     far = (float(np.linalg.norm(clip.twists[0])) + 10.0) * frames / float(clip.fps)
     places = clip.positions[0, :2] + np.array([[-far], [far]])
-    integrator = Integrator(on_terrain(clip.vehicle, world, places), h, wind=wind)
+    integrator = Integrator(on_terrain(clip.vehicle, world.on_level(clip.positions[:1], places), places), h, wind=wind)
     controls, state = clip.controls[0], clip.state(0)
     phases = [integrator.start(state, controls)]
     anchor = integrator.anchor(state, phases[0])

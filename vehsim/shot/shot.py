@@ -560,7 +560,7 @@ class Shot:
                 )
 
     def _warn_of_rock(self, clips: Mapping[str, Clip]) -> None:
-        """Warn of a vehicle on the ground that reaches into the rock above or beside it, which its plan ignores."""
+        """Warn of a vehicle on the ground that reaches into the rock above or beside it, which only plans avoid."""
         from vehsim.world.ground.rock import rock_met
 
         for name, clip in clips.items():
@@ -568,8 +568,8 @@ class Shot:
             if found is not None:
                 frame, (x, y, z) = found
                 warnings.warn(
-                    f"{name}: reaches into the rock at ({x:.2f}, {y:.2f}, {z:.2f}) m at frame {frame:g}: plans of "
-                    "vehicles on the ground ignore walls and roofs of terrain; keep away, or add obstacles there",
+                    f"{name}: reaches into the rock at ({x:.2f}, {y:.2f}, {z:.2f}) m at frame {frame:g}: only plans "
+                    "keep vehicles on the ground away from walls and roofs; keep away, or plan its motion",
                     stacklevel=3,
                 )
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from vehsim.world.distance.clearance import ObstacleScene
     from vehsim.world.distance.scene import Scene
     from vehsim.world.distance.surface_scene import SurfaceScene
+    from vehsim.world.ground.walls import Walls
     from vehsim.world.wind import Gusts
 
 Array = NDArray[np.float64]
@@ -64,6 +65,7 @@ class World:
         self._fields: dict[Any, DistanceField] = {}
         self._scenes: dict[Any, Scene | SurfaceScene] = {}
         self._obstacle_scenes: dict[Any, ObstacleScene] = {}
+        self._walls: dict[Any, Any] = {}
 
     def __repr__(self) -> str:
         name = None if self.terrain is None else self.terrain.name
@@ -93,8 +95,30 @@ class World:
         other = copy.copy(self)
         other.__dict__.pop("content_hash", None)
         other.obstacles = check_obstacles(obstacles)
-        other._fields, other._scenes, other._obstacle_scenes = {}, {}, {}
+        other._fields, other._scenes, other._obstacle_scenes, other._walls = {}, {}, {}, {}
         return other
+
+    def on_level(self, places: ArrayLike, around: ArrayLike = ()) -> World:
+        """This world with the ground of a vehicle that stands at ``places`` (n, 3) m; see `vehsim.world.ground.levels`.
+        Itself if there is only one level of ground, or one was chosen."""
+        from vehsim.world.ground.levels import on_level
+
+        terrain = self.terrain if self.terrain is None else on_level(self.terrain, places, around)
+        if terrain is self.terrain:
+            return self
+        other = self.with_only(self.obstacles)
+        other.terrain = terrain
+        return other
+
+    def walls(self, height: float) -> Walls | None:
+        """What a vehicle ``height`` m high must not touch on its level of ground; None without a level."""
+        from vehsim.world.ground.walls import Walls
+
+        if self.terrain is None or self.terrain.level is None:
+            return None
+        if height not in self._walls:
+            self._walls[height] = Walls(self.terrain, height)
+        return self._walls[height]
 
     @property
     def standing(self) -> tuple[Obstacle, ...]:
@@ -181,6 +205,30 @@ class World:
             kind = Scene if self.terrain.surface is None else SurfaceScene
             self._scenes[asset] = kind(self.terrain, vehicle.rig)
         return self._scenes[asset].clearance(positions, orientations)
+
+    def clearance_from_walls(
+        self,
+        vehicle: Any,
+        positions: ArrayLike,
+        orientations: ArrayLike,
+        channels: Mapping[str, Array] = MappingProxyType({}),
+    ) -> Array:
+        """`clearance` (n,) m of a vehicle on the ground from the walls and roofs of a terrain with overhangs, its
+        trailers turned by ``channels`` (n,); +inf without any."""
+        points = np.asarray(positions, dtype=float).reshape(-1, 3)
+        if self.terrain is None or self.terrain.surface is None or vehicle.rig is None or not len(points):
+            return np.full(len(points), np.inf)
+        if self.terrain.level is None:
+            return self.on_level(points).clearance_from_walls(vehicle, points, orientations, channels)
+        carriers = carriers_of(vehicle)
+        key = str(vehicle.rig.asset), carriers
+        if key not in self._walls:
+            from vehsim.world.distance.surface_scene import SurfaceScene
+
+            walls = self.walls(np.inf)
+            assert walls is not None
+            self._walls[key] = SurfaceScene(self.terrain, vehicle.rig, walls.mesh, carriers)
+        return np.asarray(self._walls[key].clearance(points, orientations, channels))
 
     def clearance_by_obstacle(
         self,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
-from vehsim.planning.certificates import FINEST, certify_plane
+from vehsim.planning.certificates import FINEST, certify_plane, certify_walls
 from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.features import CORNERS, Feature, body_of, element, form_of, gap
 from vehsim.planning.outlines import bounds_to, simplified
@@ -28,6 +28,7 @@ from vehsim.planning.trajectory import Trajectory
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.world.ground.placing import place_on_terrain
+from vehsim.world.ground.walls import Walls
 from vehsim.world.obstacles.articulated import articulated_footprint
 from vehsim.world.obstacles.plane import placed
 
@@ -174,14 +175,14 @@ class ObstacleClearance(Block):
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
         """The smallest clearance, and the shortfall per part and segment."""
         nearest, by_segment = certify_plane(clip, self.parts, self.clearance)
-        leaning = self._leaning(trajectory, clip)
+        leaning = self._leaning(trajectory, clip, by_segment)
         nearest, by_segment = min(nearest, float(leaning.min(initial=np.inf))), np.minimum(by_segment, leaning)
         lack = np.maximum(self.clearance - by_segment, 0.0)
         return Finding(nearest, self.clearance, bool(nearest >= self.clearance - FINEST), lack)
 
-    def _leaning(self, trajectory: Trajectory, clip: Clip) -> Array:
-        """Distances (parts, segments) m of the hulls as they lean on terrain, at whole frames; inf unless they are
-        smaller than the clearance by more than `LEANS`."""
+    def _leaning(self, trajectory: Trajectory, clip: Clip, by_segment: Array) -> Array:
+        """Distances (parts, segments) m of the hulls as they lean on terrain: of obstacles at whole frames, of rock
+        always; inf where they are not smaller than the clearance by more than `LEANS`."""
         request, apart = trajectory.request, np.full((len(self.parts), max(len(clip) - 1, 1)), np.inf)
         world, vehicle = request.world, request.vehicle
         if world.terrain is None or vehicle.rig is None or len(clip) < 2:
@@ -192,9 +193,20 @@ class ObstacleClearance(Block):
         seconds = placed.start_frame / float(placed.fps) + placed.times
         poses = placed.positions, placed.orientations
         gaps = world.clearance_by_obstacle(vehicle, *poses, seconds, placed.channels)
+        rock = [row for row, (obstacle, _) in enumerate(self.parts) if isinstance(obstacle, Walls)]
+        if rock:
+            begins = np.clip(np.searchsorted(clip.times, placed.times[:-1], "right") - 1, 0, len(clip) - 2)
+            by_interval = certify_walls(placed, world)[1]
+            here = np.full(apart.shape[1], np.inf)
+            np.minimum.at(here, begins, by_interval)
+            row = np.array(rock)[by_segment[rock].argmin(axis=0)]  # the wall that is nearest in plan view
+            near = here < self.clearance - LEANS
+            apart[row[near], np.flatnonzero(near)] = here[near]
         segment = np.clip(np.searchsorted(clip.times, placed.times, "right") - 1, 0, len(clip) - 2)
         columns = {id(obstacle): k for k, obstacle in enumerate(world.obstacles)}
         for row, (obstacle, _) in enumerate(self.parts):
+            if id(obstacle) not in columns:
+                continue
             here = gaps[:, columns[id(obstacle)]]
             near = here < self.clearance - LEANS
             np.minimum.at(apart[row], segment[near], here[near])

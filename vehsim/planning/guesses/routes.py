@@ -42,7 +42,7 @@ def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
         return cut(points, legs_between(request.marks))
     kept = [request.marks[i] for i in placed_marks(request.marks)]
     if not request.hazards:
-        parts = parts_in_reach(request.vehicle, request.world, request.marks)
+        parts = parts_in_reach(request.vehicle, request.world, request.marks, request.clearance)
         if not parts:
             return straight(request)
         progress("searching for a path among obstacles", 0.0)

@@ -50,7 +50,9 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
     asks += _ranges(request, first, last)
     if request.loop:
         asks += _loop(first, last, {"planar": planar})
-    if request.world is not None and (request.hazards or request.world.obstacles):
+    if request.world is not None and (
+        request.hazards or request.world.obstacles or request.world.walls(math.inf) is not None
+    ):
         landings = [mark.position for mark in marks if mark.on_ground]
         wanted = {
             "clearance": request.clearance,

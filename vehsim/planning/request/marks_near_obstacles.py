@@ -17,6 +17,8 @@ from vehsim.planning.request.landing import attitude, forgiven
 from vehsim.planning.request.marks import Mark, heading_of, leeway
 from vehsim.planning.trim import leans, upright
 from vehsim.vehicles import Holonomic, Vehicle
+from vehsim.world.ground.walls import Walls
+from vehsim.world.ground.wheels import wheels_of
 from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
 from vehsim.world.obstacles.plane import placed
 
@@ -24,6 +26,8 @@ Array = NDArray[np.float64]
 
 MOST_LEAN = 0.1
 """The largest lean with which the hulls of a moving vehicle are compared as if it were level, rad."""
+LEANING = 0.2
+"""Room above a vehicle for its motion on its springs, m."""
 TURNS = 180
 """Number of headings to try at a mark without a heading."""
 FINE = 0.01
@@ -37,19 +41,29 @@ FARTHEST = 50.0
 _HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
 
 
-def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any]) -> list[tuple[Any, int]]:
+def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float = 0.0) -> list[tuple[Any, int]]:
     """The obstacles of ``world``, with indices of their parts, that a vehicle driving at the height of the marks can
-    touch."""
+    touch; and the walls of a terrain with overhangs, up to ``clearance`` m above the vehicle."""
     if world is None or not vehicle.group.planar:
         return []
     height = 0.0 if marks[0].position is None else float(marks[0].position[2])
     low, high = vertical_reach(vehicle)
-    return [
+    rock = at_level(world, vehicle, marks).walls(high + LEANING + clearance)
+    walls = [] if rock is None else [(rock, number) for number in range(len(rock.parts))]
+    return walls + [
         (obstacle, number)
         for obstacle in world.obstacles
         if obstacle.bottom < height + high and obstacle.top > height + low
         for number in range(1 if obstacle.moves else len(obstacle.parts))
     ]
+
+
+def at_level(world: Any, vehicle: Vehicle, marks: Sequence[Any]) -> Any:
+    """The ``world`` with the level of ground on which a vehicle drives to ``marks``; see `World.on_level`."""
+    places = [mark.position for mark in marks if mark.position is not None]
+    if world is None or not places or not vehicle.group.planar or vehicle.rig is None or not wheels_of(vehicle.rig):
+        return world
+    return world.on_level(np.array(places, float))
 
 
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float, fps: Any) -> None:
@@ -72,7 +86,7 @@ def marks_too_near(
     """
     if world is None:
         return
-    parts, flies = parts_in_reach(vehicle, world, marks), vehicle.group.dim == 6
+    parts, flies = parts_in_reach(vehicle, world, marks, clearance), vehicle.group.dim == 6
     less = forgiven(marks if flies else [], clearance)
     for i, mark in enumerate(marks):
         frame = mark.given_frame
@@ -84,7 +98,8 @@ def marks_too_near(
         if found is None or found.gap + found.spare >= wanted:
             continue
         obstacle, gap = found.obstacle, found.gap
-        where = "rock" if obstacle is None else f"obstacle {obstacle.name!r}"
+        rock = obstacle is None or isinstance(obstacle, Walls)
+        where = "rock" if rock else f"obstacle {obstacle.name!r}"
         where += " at any heading" if found.turned else ""
         where += f" at frame {frame}" if obstacle is not None and obstacle.moves else ""
         if gap > 0:
@@ -97,7 +112,7 @@ def marks_too_near(
         elif obstacle is None:
             yield i, f"the vehicle reaches {-gap:.2f} m into {where}", "move the mark out of the terrain"
         else:
-            yield i, f"in {where}", "move the mark or the obstacle"
+            yield i, f"in {where}", "move the mark" if rock else "move the mark or the obstacle"
 
 
 def facing_clear(
@@ -155,7 +170,7 @@ def _missing(vehicle: Vehicle, world: Any, mark: Any, clearance: float) -> float
     if vehicle.group.dim == 6:
         near = _flown(vehicle, world, mark, None, clearance - leeway(mark))
     else:
-        near = _driven(vehicle, parts_in_reach(vehicle, world, [mark]), mark, None)
+        near = _driven(vehicle, parts_in_reach(vehicle, world, [mark], clearance), mark, None)
     return -np.inf if near is None else clearance - near.gap - leeway(mark)
 
 

@@ -21,7 +21,7 @@ from vehsim.planning.request.character import NO_TRAITS, Traits, traits_of
 from vehsim.planning.request.landing import attitude, descent, landings
 from vehsim.planning.request.legs import knots_within, mark_positions
 from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, heading_of, with_breaks
-from vehsim.planning.request.marks_near_obstacles import check_marks_clear
+from vehsim.planning.request.marks_near_obstacles import at_level, check_marks_clear
 from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.planning.trim import leans, rests_uncontrolled
 from vehsim.vehicles import Vehicle
@@ -154,6 +154,7 @@ def make_request(
             remedy = "limit g_load or acceleration"
             raise InputError(f"{vehicle.name} does not stand on tyres", remedy, key=f"limits.{name}")
     vehicle = vehicle.planar or vehicle
+    world = at_level(world, vehicle, marks)
     if not (math.isfinite(clearance) and clearance >= 0):
         raise InputError("not a distance", "give metres, zero or more", key="clearance", value=clearance)
     if time_limit is not None and not time_limit > 0:

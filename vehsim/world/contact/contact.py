@@ -1,10 +1,11 @@
 """Contact: where a vehicle's convex hulls touch something, and the resulting wrench, a function of states and of the
 grip of each touching pair.
 
-MuJoCo finds where hulls meet obstacles and each other (`mj_collision`), `grounding.py` where they meet terrain. Each
-touching pair acts as one spring and damper, whose stiffness keeps the depth below `DEPTH` at the fastest approach. Its
-force is distributed over the contact points by their depth; a `Grip` acts along the surface, up to Coulomb's friction.
-Spring and damper follow from the effective mass of the contact, so restitution does not depend on the bodies.
+MuJoCo finds where hulls meet obstacles and each other (`mj_collision`), `grounding.py` where they meet terrain, and
+`rock.py` where they meet one with overhangs. Each touching pair acts as one spring and damper, whose stiffness keeps
+the depth below `DEPTH` at the fastest approach. Its force is distributed over the contact points by their depth; a
+`Grip` acts along the surface, up to Coulomb's friction. Spring and damper follow from the effective mass of the
+contact, so restitution does not depend on the bodies.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from vehsim.vehicles.definition.base import State
 from vehsim.world.contact.bodies import ALLOWANCE, Body, Led, MovingBody, MovingObstacle
 from vehsim.world.contact.grip import Grip
 from vehsim.world.contact.grounding import TOUCH, Points, Underside
+from vehsim.world.contact.rock import Rock
 
 Array = NDArray[np.float64]
 
@@ -152,9 +154,6 @@ class ContactScene:
         from vehsim.rig.parts import add_to_spec
 
         self.contact, self.terrain, self._start_time = contact, world.terrain, start_time
-        if self.terrain is not None and self.terrain.surface is not None:
-            message = f"{self.terrain.name} has overhangs, which hulls cannot touch"
-            raise InputError(message, "remove world.contact, or give a terrain without overhangs", key="world.contact")
         spec = mujoco.MjSpec()
         bodies = {name: self._add_vehicle(spec, name, vehicle, add_to_spec) for name, vehicle in vehicles.items()}
         moving = [obstacle for obstacle in world.obstacles if hasattr(obstacle, "motion_at")]
@@ -168,7 +167,7 @@ class ContactScene:
             geom.margin = MONITORED
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self._undersides: list[Underside] = []
+        self._undersides: list[Underside | Rock] = []
         self.bodies = [self._body(vehicles[name], body) for name, body in bodies.items()]
         self._moving_obstacles = [self._moving_obstacle(obstacle) for obstacle in moving]
         names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
@@ -206,7 +205,8 @@ class ContactScene:
         reach = float(max(np.linalg.norm(hull - vehicle.origin, axis=1).max() for hull in hulls))
         inverse = np.linalg.inv(np.asarray(vehicle.inertia, float))
         if self.terrain is not None:
-            self._undersides.append(Underside(hulls, self.terrain))
+            plain = self.terrain.surface is None
+            self._undersides.append(Underside(hulls, self.terrain) if plain else Rock(hulls, self.terrain, vehicle.rig))
         return Body(body, vehicle, self._joint(body), reach, inverse)
 
     def _moving_obstacle(self, obstacle: Any) -> MovingObstacle:

@@ -5,13 +5,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim.lie.quaternions import matrices
-from vehsim.rig.parts import collision_hulls
+from vehsim.rig.linkage import part_poses
+from vehsim.rig.parts import solids
 from vehsim.rig.rig import Rig
 from vehsim.world.distance.scene import TOUCHING, checked_poses
 from vehsim.world.terrain.terrain import Terrain
@@ -20,15 +23,31 @@ Array = NDArray[np.float64]
 
 
 class SurfaceScene:
-    """A terrain with a surface and one vehicle's hulls, for distance queries."""
+    """A terrain with a surface and one vehicle's hulls, for distance queries.
 
-    def __init__(self, terrain: Terrain, rig: Rig) -> None:
+    ``mesh``: points (n, 3) m and faces (m, 3) of the part of the surface that counts, all by default. ``carriers``:
+    paths of the parts that swing out of the vehicle, such as trailers.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        rig: Rig,
+        mesh: tuple[Array, NDArray[np.int64]] | None = None,
+        carriers: Sequence[str] = (),
+    ) -> None:
         import fcl
         import igl
         from scipy.spatial import ConvexHull
 
-        self.terrain = terrain
-        hulls = collision_hulls(rig.asset, rig.root or None)
+        self.terrain, self.rig, self.carriers, self._whole = terrain, rig, ("", *carriers), mesh is None
+        hulls: list[Array] = []
+        owners: list[int] = []
+        for solid in solids(rig.asset, rig.root or None):
+            inside = [c for c in self.carriers if not c or f"{solid.path}/".startswith(f"{c}/")]
+            hulls += solid.hulls
+            owners += [self.carriers.index(max(inside, key=len))] * len(solid.hulls)
+        self._owners = np.array(owners)
         shapes = [ConvexHull(hull) for hull in hulls]
         self._corners = [hull[shape.vertices] for hull, shape in zip(hulls, shapes, strict=True)]
         self._planes = [shape.equations for shape in shapes]
@@ -38,15 +57,24 @@ class SurfaceScene:
         )
         pairs = zip(hulls, shapes, strict=True)
         self._hulls = [fcl.CollisionObject(_model(hull, shape.simplices)) for hull, shape in pairs]
-        self._mesh = np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces)
+        points, faces = (terrain.vertices, terrain.faces) if mesh is None else mesh
+        self._mesh = np.ascontiguousarray(points), np.ascontiguousarray(faces)
+        if not len(faces):
+            return
         self._rock = fcl.CollisionObject(_model(*self._mesh))
         self._tree = igl.AABB()
         self._tree.init(*self._mesh)
         _, first = np.unique(igl.vertex_components(self._mesh[1]), return_index=True)
         self._pieces = self._mesh[0][first]
 
-    def clearance(self, positions: ArrayLike, orientations: ArrayLike) -> Array:
-        """Signed distance (n,) m from the hulls to the terrain at rig-root poses (n, 3) m, (n, 4) w, x, y, z.
+    def clearance(
+        self,
+        positions: ArrayLike,
+        orientations: ArrayLike,
+        channels: Mapping[str, Array] = MappingProxyType({}),
+    ) -> Array:
+        """Signed distance (n,) m from the hulls to the terrain at rig-root poses (n, 3) m, (n, 4) w, x, y, z;
+        ``channels`` (n,): those that move the ``carriers``.
 
         Exact in the air. A pose that touches the rock gives minus the distance of the hulls' deepest corner or centre
         in it from the surface. Beyond the borders the ground continues level, and the result is at most the height
@@ -55,25 +83,31 @@ class SurfaceScene:
         import fcl
 
         positions, orientations = checked_poses(positions, orientations)
-        rotations = matrices(orientations)
-        away = self._signed(positions[:, None] + np.einsum("nij,hj->nhi", rotations, self._centres))
-        result = np.empty(len(positions))
-        for k, (position, turn, orientation) in enumerate(zip(positions, rotations, orientations, strict=True)):
+        result = np.full(len(positions), np.inf)
+        if not len(self._mesh[1]):
+            return result
+        own = [part_poses(self.rig, path, channels, positions, orientations) for path in self.carriers]
+        places, turned = (np.stack(pose, axis=1)[:, self._owners] for pose in zip(*own, strict=True))
+        rotations = matrices(turned.reshape(-1, 4)).reshape(*turned.shape[:2], 3, 3)
+        away = self._signed(places + np.einsum("nhij,hj->nhi", rotations, self._centres))
+        for k in range(len(positions)):
             lower, best = away[k] - self._radii, np.inf
             for hull in np.argsort(lower):
                 if lower[hull] >= best or best <= 0:
                     break
-                self._hulls[hull].setTransform(fcl.Transform(orientation, position))
+                position, turn = places[k, hull], rotations[k, hull]
+                self._hulls[hull].setTransform(fcl.Transform(turned[k, hull], position))
                 inside = (
                     (self._pieces - position) @ turn @ self._planes[hull][:, :3].T + self._planes[hull][:, 3]
                 ) <= 0
                 buried = away[k, hull] <= 0 or inside.all(axis=1).any()
                 best = 0.0 if buried else min(best, fcl.distance(self._hulls[hull], self._rock))
-            corners = np.concatenate(self._corners) @ turn.T + position
+            placed = zip(self._corners, rotations[k], places[k], strict=True)
+            corners = np.concatenate([corner @ turn.T + position for corner, turn, position in placed])
             if best <= 0:
                 result[k] = min(-TOUCHING, self._signed(corners).min(), away[k].min())
             else:
-                result[k] = min(best, self._above_level(corners))
+                result[k] = min(best, self._above_level(corners)) if self._whole else best
         return result
 
     def _signed(self, points: Array) -> Array:

@@ -21,6 +21,7 @@ from vehsim.lie.quaternions import matrices, tilt_of, yaw_tilt
 from vehsim.rig.linkage import part_poses
 from vehsim.rig.rig import Rig
 from vehsim.vehicles.definition.surfaces import SURFACES
+from vehsim.world.ground.levels import on_level
 from vehsim.world.ground.springs import deflections, lean_of
 from vehsim.world.ground.trailers import tilted
 from vehsim.world.ground.tyres import spring_loads
@@ -37,6 +38,8 @@ SAMPLES = 8
 SETTLING = 5
 """Iterations of the body's rest pose, each with one iteration of its contacts: within 0.02 mm. The first three need
 only coarse wheels."""
+ALONG = 50
+"""Places along a vehicle's way that choose its level of ground."""
 STEADY = 0.05
 """Largest change of the rest pose in the last iteration, m and rad: if it is larger, the body does not come to rest."""
 GRIP = 1.1
@@ -63,6 +66,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
         terrain = _level(clip)
     if terrain is None or rig is None or not clip.vehicle.group.planar:
         return clip
+    terrain = on_level(terrain, standing(clip), clip.positions[:, :2])
     wheels = tuple(wheel.coarse if coarse else wheel for wheel in wheels_of(rig))
     own = tuple(wheel for wheel in wheels if not wheel.carrier)
     if not own:
@@ -91,6 +95,13 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     _warn_strain(clip, held, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
     placed = replace(clip, positions=there[0], orientations=there[1], channels=channels)
     return replace(placed, channels={**channels, **spring_loads(placed, wheels)})
+
+
+def standing(clip: Clip) -> Array:
+    """Places (n, 3) m that choose a vehicle's level of ground: its start, or its way once it is placed there."""
+    if "heave" not in clip.channels:
+        return clip.positions[:1]
+    return clip.positions[:: max(1, len(clip) // ALONG)]
 
 
 def _level(clip: Clip) -> Terrain:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
-from vehsim.world.terrain.surface import TerrainSurface
+from vehsim.world.terrain.level import LIFT, Level
+from vehsim.world.terrain.surface import TOUCHED, TerrainSurface
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,8 @@ class HeightGrid:
     cell: tuple[float, float] = (1.0, 1.0)
     look: Path | None = None
     surface: TerrainSurface | None = None
+    level: Level | None = None
+    """The ground of one vehicle among several levels; by default, the lowest."""
 
     def __post_init__(self) -> None:
         heights = np.array(self.heights, dtype=np.float64)  # our own read-only copy, so that caches stay valid
@@ -87,9 +90,28 @@ class HeightGrid:
     def height(self, xy: ArrayLike) -> Array:
         """Height (n,) m of the ground at ``xy`` (n, 2) m; beyond the borders, that of the closest border point.
 
-        Below an arch and in a cave, it is the height of their floor.
+        Below an arch and in a cave, it is the height of their floor, or that of the ``level``.
         """
         xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+        if self.level is not None:
+            return self._on_level(xy, self.level)
+        return self._lowest(xy)
+
+    def _on_level(self, xy: Array, level: Level) -> Array:
+        """Height (n,) m of the level's ground at ``xy`` (n, 2) m; behind walls and beyond edges, that beside them."""
+        assert self.surface is not None
+        near, known = level.at(xy), level.knows(self._inner(xy))
+        if not known.all():
+            near[~known] = self._lowest(xy[~known])
+        exact = self.surface.ground_below(np.column_stack([self._inner(xy), near + LIFT]))
+        return np.where(np.abs(exact - near) <= LIFT + TOUCHED, exact, near)
+
+    def _inner(self, xy: Array) -> Array:
+        """``xy`` (n, 2) m, or the closest places inside the borders; a ray exactly along a border could miss."""
+        inset = 1e-7 * (self.upper - self.lower)[:2]
+        return np.clip(xy, self.lower[:2] + inset, self.upper[:2] - inset)
+
+    def _lowest(self, xy: Array) -> Array:
         if self.surface is None:
             return self._on_grid(xy)
         exact = self.surface.floor(xy)
@@ -108,7 +130,7 @@ class HeightGrid:
     def below(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether ``points`` (n, 3) m lie in the rock, (n,)."""
         points = np.asarray(points, dtype=float).reshape(-1, 3)
-        under = points[:, 2] < self.height(points[:, :2])
+        under = points[:, 2] < self._lowest(points[:, :2])
         return under if self.surface is None else under | self.surface.inside(points)
 
     def _on_grid(self, xy: Array) -> Array:
@@ -140,6 +162,8 @@ class HeightGrid:
         digest.update(self.heights.tobytes())
         if self.surface is not None:
             digest.update(self.surface.content_hash.encode())
+        if self.level is not None:
+            digest.update(self.level.content)
         return digest.hexdigest()
 
 

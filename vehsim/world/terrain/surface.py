@@ -24,6 +24,9 @@ TOUCHED = 0.1
 ABOVE = 1e-3
 """Height above a face at which a point has to be free for the face to be ground, m."""
 
+LEVELS = 8
+"""Largest number of levels of ground at a place."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TerrainSurface:
@@ -70,11 +73,16 @@ class TerrainSurface:
     @cached_property
     def ground(self) -> Faces:
         """The faces (k, 3) on which something can stand: they look up, and the space above them is free."""
-        normals = self.normals
-        up = self.faces[normals[:, 2] > 1e-9 * np.linalg.norm(normals, axis=1)]
-        above = self.points[up].mean(axis=1)
+        return np.ascontiguousarray(self.faces[self.is_ground(self.points[self.faces])])
+
+    def is_ground(self, corners: Array) -> NDArray[np.bool_]:
+        """Whether something can stand on pieces (n, 3, 3) m of its faces, (n,)."""
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        found = normals[:, 2] > 1e-9 * np.linalg.norm(normals, axis=1)
+        above = corners[found].mean(axis=1)
         above[:, 2] += ABOVE
-        return np.ascontiguousarray(up[~self.inside(above)])
+        found[found] = ~self.inside(above)
+        return np.asarray(found)
 
     def floor(self, xy: Array) -> Array:
         """Height (n,) m of the lowest ground at ``xy`` (n, 2) m, beyond the borders of the closest border point; nan
@@ -89,6 +97,21 @@ class TerrainSurface:
         none."""
         lift = np.array([0.0, 0.0, TOUCHED])
         return self._ground_along(points + lift, -1.0)
+
+    def levels(self, xy: Array) -> Array:
+        """All heights (n, k) m of the ground at ``xy`` (n, 2) m, from the highest to the lowest, then nan."""
+        top = float(self.points[:, 2].max()) + BELOW
+        found: list[Array] = []
+        at = np.column_stack([xy, np.full(len(xy), top)])
+        while len(found) < LEVELS:
+            below = np.full(len(xy), np.nan)
+            known = np.isfinite(at[:, 2])
+            below[known] = self._ground_along(at[known], -1.0)
+            if found and np.isnan(below).all():
+                break
+            found.append(below)
+            at = np.column_stack([xy, below - ABOVE])
+        return np.stack(found, axis=1)
 
     def _ground_along(self, points: Array, direction: float) -> Array:
         """Height (n,) m of the first ground straight up (1) or down (-1) from points (n, 3) m; nan where there is
