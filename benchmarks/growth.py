@@ -262,6 +262,8 @@ NOTES = """## What exceeds 1.2
 - `frames_boat`, export, less the smallest: 1.23, measured beside other work. Until then one box around the whole way
   held the waves of the wake, and the exponent was 1.32 up to 1,250 frames. Now a box of a fixed size follows each
   vehicle on long ways.
+  Profiled on 2026-11-24 from 625 to 2,500 frames: the transforms, splines and phases of that box took 6.1 and 94.8 s,
+  everything else 35.7 and 127.6 s, which is linear. The box grows with the way until it follows the vehicle.
 - `segments_helicopter`, solve, less the smallest: 1.22, because of the number of iterations: 26 with 128 segments, 34
   with 256, 30 with 512. CPU time per iteration (75, 178, 262 ms) has an exponent of 0.90. The smallest shot asks for 3
   segments; the planner uses 16.
