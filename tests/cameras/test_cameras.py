@@ -403,24 +403,42 @@ def test_a_chase_camera_stays_behind_its_target_on_hills(seed, above):
     assert np.min(camera.positions[:, 2] - world.height(camera.positions[:, :2])) > 0.5
 
 
-@pytest.fixture(scope="module")
-def tunnel(tmp_path_factory):
-    """A hill with a tunnel along X, from y = -6 to 6 m and 12 m high."""
-    file = tmp_path_factory.mktemp("tunnel") / "tunnel.obj"
-    ground, hill, bore = (
-        trimesh.creation.box(bounds=bounds)
-        for bounds in (((-60, -50, -5), (60, 50, 0)), ((-25, -30, -1), (25, 30, 24)), ((-30, -6, 0), (30, 6, 12)))
-    )
+def hill_with_a_tunnel(folder, side, high):
+    """A hill with a tunnel along X, from y = -``side`` to ``side`` m and ``high`` m high."""
+    file = folder / f"tunnel{high}.obj"
+    boxes = ((-60, -50, -5), (60, 50, 0)), ((-25, -30, -1), (25, 30, 24)), ((-30, -side, 0), (30, side, high))
+    ground, hill, bore = (trimesh.creation.box(bounds=bounds) for bounds in boxes)
     trimesh.boolean.union([ground, trimesh.boolean.difference([hill, bore])]).export(file)
     return World(Terrain.load(file))
+
+
+@pytest.fixture(scope="module")
+def tunnel(tmp_path_factory):
+    return hill_with_a_tunnel(tmp_path_factory.mktemp("tunnel"), 6, 12)
+
+
+def in_hill(positions, side, high):
+    x, y, z = positions.T
+    return (abs(x) < 25) & (abs(y) < 30) & (z < 24) & ~((abs(y) < side) & (z < high))
 
 
 @pytest.mark.parametrize("rig", ["chase", "fly_by", "orbit"])
 def test_cameras_of_a_flight_through_a_tunnel_are_not_in_its_rock(tunnel, rig):
     through = clip_along(np.stack([14 * T - 35, 0 * T, 5 + 0 * T], 1), 0.0)
     camera = solve_camera(CameraRig("it", rig=rig), {"v": through}, tunnel, (1001, 1121))
-    x, y, z = camera.positions.T
-    assert not ((abs(x) < 25) & (abs(y) < 30) & (z < 24) & ~((abs(y) < 6) & (z < 12))).any()
+    assert not in_hill(camera.positions, 6, 12).any()
+    assert rig == "fly_by" or camera.positions[:, 2].max() < 12  # not above the hill, where it saw only the roof
+
+
+def test_a_chase_camera_follows_a_car_through_a_low_tunnel(tmp_path):
+    """2.8 m wide and 3 m high: it sees the car at every frame, along a line that is free of rock."""
+    tunnel = hill_with_a_tunnel(tmp_path, 1.4, 3)
+    through = clip_along(np.stack([14 * T - 35, 0 * T, 0 * T], 1), 0.0)
+    camera = solve_camera(CameraRig("it", rig="chase"), {"v": through}, tunnel, (1001, 1121))
+    aims = np.stack([14 * T - 35, 0 * T, 1 + 0 * T], 1)
+    for share in np.linspace(0.0, 0.9, 10):
+        sight = camera.positions + share * (aims - camera.positions)
+        assert not in_hill(sight, 1.4, 3).any() and sight[:, 2].min() > 0
 
 
 def test_a_camera_that_cannot_avoid_the_rock_is_named(tunnel):

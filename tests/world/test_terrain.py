@@ -82,6 +82,15 @@ def test_npz_carries_heights_cell_and_origin(tmp_path):
     assert terrain.height([[7, 8]])[0] == 5
 
 
+def test_a_shot_with_the_name_of_its_terrain_does_not_describe_it(tmp_path):
+    np.savez(tmp_path / "t.npz", heights=np.arange(12.0).reshape(3, 4), cell=2.0, origin=[5, 6])
+    (tmp_path / "t.toml").write_text('[shot]\nschema = 1\n[world]\nterrain = "t.npz"\n')
+    assert Terrain.load(tmp_path / "t.npz").cell == (2, 2)
+    (tmp_path / "t.toml").write_text("[shott]\n")
+    with pytest.raises(InputError, match="unknown key"):
+        Terrain.load(tmp_path / "t.npz")
+
+
 def test_npy_is_centred_and_warns_when_no_cell_is_given(tmp_path):
     with pytest.warns(UserWarning, match="no cell size"):
         terrain = Terrain.load(write(tmp_path, "t.npy", np.zeros((3, 5))))

@@ -32,10 +32,21 @@ SIGHT = np.linspace(0.0, 0.75, 14)
 """Points at which the line of sight is tested, from the camera (0) towards the target (1)."""
 ROUND = np.radians((55.0, -55.0, 75.0, -75.0))
 """Additional angles around the target if there are obstacles: they may hide a target at close range."""
+LOWER, BACK = (-0.12, -0.25), np.radians((100.0, -100.0, 130.0, -130.0, 160.0, -160.0))
+"""Additional lifts and angles on terrain with overhangs: its roofs may be low, its caves narrow."""
+COLUMN, COLUMNS, ROOM = 0.25, 400, 40
+"""Spacing of the columns in which its levels of ground are known, m, and their largest number along the target's way;
+how many more than asked for are kept."""
 THROUGH = 0.2
 """Weight of a metre of sight inside an obstacle, in metres of the ground's mean depth along the sight."""
 BURIED = 10.0
 """Weight of a camera inside the rock of a terrain with overhangs, relative to its distance."""
+ROUNDABOUT = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 0.5]], float)
+"""Places around a camera that ought to be free too, in units of its margin."""
+JUMP, LEAP = np.radians(40.0), 1e5
+"""Largest turn around the target in a quarter second among rock, and the cost of a larger one."""
+CRAMPED = 0.3
+"""Weight of rock at all of them, relative to that of a camera inside the rock."""
 RAISES = np.linspace(0.0, 1.2, 25)
 """Largest raise over an obstacle, relative to its distance."""
 
@@ -53,15 +64,19 @@ def steer(
     step = max(1, round(fps / 4))
     keys = np.unique(np.append(np.arange(0, count, step), count - 1))
     turns = SIDESTEPS[:5] if behind else SIDESTEPS
-    turns = np.append(turns, ROUND) if _standing(world) or _rock(world) is not None else turns
-    choices = np.array(list(product(turns, SCALES, LIFTS + HIGHER * behind)))
+    rocky = _rock(world) is not None
+    turns = np.append(turns, ROUND) if _standing(world) or rocky else turns
+    turns = np.append(turns, BACK) if rocky else turns
+    choices = np.array(list(product(turns, SCALES, LOWER * rocky + LIFTS + HIGHER * behind)))
     moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
     hidden = blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
     reach = np.linalg.norm(positions - aims, axis=1).mean()
     departure = (
         ((ASIDE if behind else 1.0) * choices[:, 0]) ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
     )
-    chosen = _cheapest(hidden / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10))
+    # among rock, a way round the target leads through every angle, each with its own cost
+    jump = JUMP if rocky else np.inf
+    chosen = _cheapest(hidden / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10), jump / 0.10)
     path = np.array([np.interp(np.arange(count), keys, choices[chosen, k]) for k in range(3)])
     path = smooth(path.T, 0.35 * fps)
     calm = smooth(aims, 0.5 * fps)
@@ -87,12 +102,16 @@ def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: 
 
 
 def calm(positions: Array, aims: Array, world: Any, margin: float, fps: float, limit: float) -> Array:
-    """The path (n, 3) smoothed only until its jerk (m/s^3) is below ``limit``, and still above the ground."""
+    """The path (n, 3) smoothed only until its jerk (m/s^3) is below ``limit``, and still above the ground; it does not
+    cut corners through rock."""
     path = positions
     for sigma in (0.15, 0.25, 0.4, 0.6, 0.9, 1.3):
         if jerk(path, fps) <= limit:
             break
-        path = raise_camera(smooth(positions, sigma * fps), aims, world, margin, fps)
+        calmer = raise_camera(smooth(positions, sigma * fps), aims, world, margin, fps)
+        if in_rock(calmer, world).sum() > in_rock(path, world).sum():
+            break
+        path = calmer
     return path
 
 
@@ -151,10 +170,14 @@ class Surroundings:
     terrain: Any
     height: Callable[[Array], Any]
     standing: tuple[Obstacle | Parked, ...]
+    levels: Levels | None = None
 
     @staticmethod
-    def of(world: Any, parked: tuple[Parked, ...]) -> Surroundings:
-        return Surroundings(getattr(world, "terrain", world), world.height, (*_standing(world), *parked))
+    def of(world: Any, parked: tuple[Parked, ...], extent: float) -> Surroundings:
+        """``extent`` m: of the target's way."""
+        rock = _rock(world)
+        levels = None if rock is None else Levels(rock, max(COLUMN, extent / COLUMNS))
+        return Surroundings(getattr(world, "terrain", world), world.height, (*_standing(world), *parked), levels)
 
 
 def blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
@@ -176,8 +199,10 @@ def blocked(positions: Array, aims: Array, world: Any, margin: float, radius: fl
     if (rock := _rock(world)) is not None:
         sight = _sight(positions, aims)
         hidden = rock.inside(sight.reshape(-1, 3)).reshape(sight.shape[:-1])
+        near = positions[..., None, :] + margin * ROUNDABOUT
+        cramped = rock.inside(near.reshape(-1, 3)).reshape(near.shape[:-1]).mean(axis=-1)
         reach = np.linalg.norm(ray, axis=-1)
-        total += reach * (2 * THROUGH * hidden.mean(axis=-1) + BURIED * hidden[..., 0])
+        total += reach * (2 * THROUGH * hidden.mean(axis=-1) + BURIED * (hidden[..., 0] + CRAMPED * cramped))
     return total
 
 
@@ -254,19 +279,47 @@ def in_rock(positions: Array, world: Any) -> NDArray[np.bool_]:
 
 
 def _ground(points: Array, world: Any, margin: float) -> Array:
-    """The highest ground (...,) within ``margin`` of ``points`` (..., 3)."""
+    """The highest ground (...,) within ``margin`` of ``points`` (..., 3), on terrain with overhangs that below them."""
     if getattr(world, "terrain", world) is None:
         return np.full(points.shape[:-1], -np.inf)
-    highest = np.full(points.shape[:-1], -np.inf)
+    highest, levels = np.full(points.shape[:-1], -np.inf), getattr(world, "levels", None)
     for offset in margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float):  # in turn: it saves memory
         around = (points[..., :2] + offset).reshape(-1, 2)
-        np.maximum(highest, np.reshape(world.height(around), highest.shape), out=highest)
+        found = world.height(around) if levels is None else levels.below(around, points[..., 2].ravel() + margin)
+        np.maximum(highest, np.reshape(found, highest.shape), out=highest)
     return highest
 
 
-def _cheapest(costs: Array, places: Array) -> NDArray[np.int64]:
-    """The row of ``places`` (m, d) for each step (k,) with the least sum of ``costs`` (k, m) and squared changes."""
-    change = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+class Levels:
+    """The levels of ground of a terrain with overhangs, in columns around the places that were asked for."""
+
+    def __init__(self, rock: TerrainSurface, column: float) -> None:
+        self._rock, self._column = rock, column
+        self._first, self._levels = np.zeros(2, int), np.zeros((0, 0, 1))
+
+    def below(self, xy: Array, z: Array) -> Array:
+        """The highest ground (n,) m at ``xy`` (n, 2) that is below ``z`` (n,); -inf without any."""
+        cells = np.round(xy / self._column).astype(int)
+        last = self._first + self._levels.shape[:2] - 1
+        if (cells.min(axis=0) < self._first).any() or (cells.max(axis=0) > last).any():
+            known = [self._first, last] if self._levels.size else []
+            self._learn(np.array([*known, cells.min(axis=0) - ROOM, cells.max(axis=0) + ROOM]))
+        levels = self._levels[tuple((cells - self._first).T)]
+        return np.where(levels <= z[:, None], levels, -np.inf).max(axis=1)
+
+    def _learn(self, ends: Array) -> None:
+        first, last = ends.min(axis=0), ends.max(axis=0)
+        grid = np.stack(np.meshgrid(*map(np.arange, first, last + 1), indexing="ij"), axis=-1)
+        self._first = first
+        places = np.asarray(grid.reshape(-1, 2) * self._column, float)
+        self._levels = self._rock.levels(places).reshape(*grid.shape[:2], -1)
+
+
+def _cheapest(costs: Array, places: Array, jump: float) -> NDArray[np.int64]:
+    """The row of ``places`` (m, d) for each step (k,) with the least sum of ``costs`` (k, m) and squared changes; the
+    first column changes by at most ``jump`` per step, as far as possible."""
+    moved = places[:, None] - places[None]
+    change = (moved**2).sum(axis=2) + LEAP * (np.abs(moved[..., 0]) > jump)
     best, origins = costs[0], []
     for cost in costs[1:]:
         reached = best[:, None] + change

@@ -76,9 +76,20 @@ def read_heights(source: str | Path) -> HeightGrid:
         heights, placement = _read_toml(path)
         return replace(_read_map(heights, placement), name=path.parent.name, look=placement.look)
     beside = path.with_suffix(".toml")
-    placement = _read_toml(beside)[1] if beside.is_file() else Placement(path)
+    placement = _read_toml(beside)[1] if beside.is_file() and not _is_shot(beside) else Placement(path)
     terrain = _read_map(path, placement)
     return replace(terrain, look=placement.look) if placement.look else terrain
+
+
+def _is_shot(path: Path) -> bool:
+    """Whether a TOML file beside a mesh or height map is a shot that happens to have its name."""
+    from vehsim.errors import ShotError
+    from vehsim.intake.toml import read_toml
+
+    try:
+        return "shot" in read_toml(path)[0]
+    except ShotError:
+        return False  # its reader reports it
 
 
 def _read_map(path: Path, placement: Placement) -> HeightGrid:
