@@ -23,6 +23,7 @@ from vehsim.planning.request.request import Request
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.terms import Cost, cost_weights
 from vehsim.requests.mark_frame import FREE
+from vehsim.world.world import World
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
     quick = replace(
         request,
         marks=marks,
-        world=_Calm(wind),
+        world=World(wind=wind),
         weights=cost_weights({"time": 1.0, "smoothness": 1e-3, "effort": 3e-3}, {}),
         segments=SEGMENTS * (len(marks) - 1),
         clearance=0.0,
@@ -77,18 +78,6 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
             return _found(quick, request, least)
     except VehsimError:
         return None
-
-
-class _Calm:
-    """A world with wind only."""
-
-    terrain = None
-    obstacles = ()
-    moving = ()
-    standing = ()
-
-    def __init__(self, wind: object) -> None:
-        self.wind = wind
 
 
 def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | None:
