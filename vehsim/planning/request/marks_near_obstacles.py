@@ -60,8 +60,10 @@ def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance
 
 def at_level(world: Any, vehicle: Vehicle, marks: Sequence[Any]) -> Any:
     """The ``world`` with the level of ground on which a vehicle drives to ``marks``; see `World.on_level`."""
+    if world is None or world.terrain is None or world.terrain.surface is None:
+        return world
     places = [mark.position for mark in marks if mark.position is not None]
-    if world is None or not places or not vehicle.group.planar or vehicle.rig is None or not wheels_of(vehicle.rig):
+    if not places or not vehicle.group.planar or vehicle.rig is None or not wheels_of(vehicle.rig):
         return world
     return world.on_level(np.array(places, float))
 
