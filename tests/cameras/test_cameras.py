@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from vehsim import cameras
 from vehsim.cameras.camera import CameraRig
 from vehsim.cameras.framing import JERK, solve_camera, vehicle_outline
+from vehsim.cameras.path import Levels
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError
 from vehsim.lie import SE3
@@ -439,6 +440,21 @@ def test_a_chase_camera_follows_a_car_through_a_low_tunnel(tmp_path):
     for share in np.linspace(0.0, 0.9, 10):
         sight = camera.positions + share * (aims - camera.positions)
         assert not in_hill(sight, 1.4, 3).any() and sight[:, 2].min() > 0
+
+
+def test_a_fixed_camera_in_a_hill_without_a_tunnel_below_it_is_raised(tunnel):
+    there = CameraRig("it", rig="static", position=(0.0, 20.0, 16.0))
+    through = clip_along(np.stack([14 * T - 35, 0 * T + 40, 5 + 0 * T], 1), 0.0)
+    camera = solve_camera(there, {"v": through}, tunnel, (1001, 1121))
+    assert camera.positions[:, 2].min() > 24
+
+
+def test_a_distant_camera_knows_no_more_columns(tunnel):
+    levels = Levels(tunnel.terrain.surface)
+    assert levels.below(np.array([[0.0, 0.0], [0.0, 20.0]]), np.array([5.0, 5.0]), True).tolist() == [0.0, 24.0]
+    assert levels.below(np.array([[0.0, 0.0], [0.0, 20.0]]), np.array([5.0, 5.0]), False).tolist() == [0.0, -np.inf]
+    levels.below(np.array([[4000.0, -3000.0]]), np.array([100.0]), False)
+    assert levels._levels.size < 8 * 500**2
 
 
 def test_a_camera_that_cannot_avoid_the_rock_is_named(tunnel):

@@ -61,8 +61,7 @@ def solve_camera(
     distance = rig.distance or subject.size / (2 * rig.fill)
     zoom = rig.lens_mm / aperture[1]
     level = move.level if rig.level is None else rig.level
-    extent = float(np.ptp(subject.centre, axis=0).max())
-    around = Surroundings.of(world, _parked(clips, rig.target or next(iter(clips)), every), extent)
+    around = Surroundings.of(world, _parked(clips, rig.target or next(iter(clips)), every))
     ups = np.broadcast_to((0.0, 0.0, 1.0), subject.centre.shape) if level else subject.matrices[:, :3, 2]
     for _ in range(5 if framed else 1):
         placed = _on_the_open_side(rig, move, subject, distance, around)

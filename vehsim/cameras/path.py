@@ -34,9 +34,9 @@ ROUND = np.radians((55.0, -55.0, 75.0, -75.0))
 """Additional angles around the target if there are obstacles: they may hide a target at close range."""
 LOWER, BACK = (-0.12, -0.25), np.radians((100.0, -100.0, 130.0, -130.0, 160.0, -160.0))
 """Additional lifts and angles on terrain with overhangs: its roofs may be low, its caves narrow."""
-COLUMN, COLUMNS, ROOM = 0.25, 400, 40
-"""Spacing of the columns in which its levels of ground are known, m, and their largest number along the target's way;
-how many more than asked for are kept."""
+COLUMN, COLUMNS, ROOM = 0.25, 400, 10.0
+"""Spacing of the columns in which its levels of ground are known, m; about the largest number of them along a side,
+for which they are farther apart; and how far they reach around the places that were asked for, m."""
 THROUGH = 0.2
 """Weight of a metre of sight inside an obstacle, in metres of the ground's mean depth along the sight."""
 BURIED = 10.0
@@ -90,11 +90,11 @@ def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: 
     """
     sight = _sight(positions, aims)
     # its line of sight rises less than the camera
-    need = (_ground(sight, world, 0.5 * margin) - sight[..., 2]) / (1.0 - SIGHT)
-    need[:, 0] = _ground(sight[:, 0], world, margin) + margin - sight[:, 0, 2]
+    still = np.ptp(positions, axis=0).max() < 1e-9
+    need = (_ground(sight, world, 0.5 * margin, still) - sight[..., 2]) / (1.0 - SIGHT)
+    need[:, 0] = _ground(sight[:, 0], world, margin, still) + margin - sight[:, 0, 2]
     need = need.max(axis=1)
     need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
-    still = np.ptp(positions, axis=0).max() < 1e-9
     raised = np.full(len(need), need.max()) if still else envelope(need, fps)
     if not still and _standing(world):  # blocks have steeper sides than the ground: start earlier
         raised = raised + envelope(_over_obstacles(positions, aims, world, margin), fps, 0.8)
@@ -173,10 +173,9 @@ class Surroundings:
     levels: Levels | None = None
 
     @staticmethod
-    def of(world: Any, parked: tuple[Parked, ...], extent: float) -> Surroundings:
-        """``extent`` m: of the target's way."""
+    def of(world: Any, parked: tuple[Parked, ...]) -> Surroundings:
         rock = _rock(world)
-        levels = None if rock is None else Levels(rock, max(COLUMN, extent / COLUMNS))
+        levels = None if rock is None else Levels(rock)
         return Surroundings(getattr(world, "terrain", world), world.height, (*_standing(world), *parked), levels)
 
 
@@ -278,14 +277,16 @@ def in_rock(positions: Array, world: Any) -> NDArray[np.bool_]:
     return np.zeros(len(positions), bool) if rock is None else rock.inside(positions)
 
 
-def _ground(points: Array, world: Any, margin: float) -> Array:
-    """The highest ground (...,) within ``margin`` of ``points`` (..., 3), on terrain with overhangs that below them."""
+def _ground(points: Array, world: Any, margin: float, plain: bool = False) -> Array:
+    """The highest ground (...,) within ``margin`` of ``points`` (..., 3); on terrain with overhangs that below them
+    and, if ``plain``, above them where it is the only one."""
     if getattr(world, "terrain", world) is None:
         return np.full(points.shape[:-1], -np.inf)
     highest, levels = np.full(points.shape[:-1], -np.inf), getattr(world, "levels", None)
+    below = points[..., 2].ravel() + margin
     for offset in margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float):  # in turn: it saves memory
         around = (points[..., :2] + offset).reshape(-1, 2)
-        found = world.height(around) if levels is None else levels.below(around, points[..., 2].ravel() + margin)
+        found = world.height(around) if levels is None else levels.below(around, below, plain)
         np.maximum(highest, np.reshape(found, highest.shape), out=highest)
     return highest
 
@@ -293,26 +294,28 @@ def _ground(points: Array, world: Any, margin: float) -> Array:
 class Levels:
     """The levels of ground of a terrain with overhangs, in columns around the places that were asked for."""
 
-    def __init__(self, rock: TerrainSurface, column: float) -> None:
-        self._rock, self._column = rock, column
-        self._first, self._levels = np.zeros(2, int), np.zeros((0, 0, 1))
+    def __init__(self, rock: TerrainSurface) -> None:
+        self._rock, self._column = rock, COLUMN
+        self._lower, self._upper = np.full(2, np.inf), np.full(2, -np.inf)
+        self._levels = np.zeros((0, 0, 1))
 
-    def below(self, xy: Array, z: Array) -> Array:
-        """The highest ground (n,) m at ``xy`` (n, 2) that is below ``z`` (n,); -inf without any."""
-        cells = np.round(xy / self._column).astype(int)
-        last = self._first + self._levels.shape[:2] - 1
-        if (cells.min(axis=0) < self._first).any() or (cells.max(axis=0) > last).any():
-            known = [self._first, last] if self._levels.size else []
-            self._learn(np.array([*known, cells.min(axis=0) - ROOM, cells.max(axis=0) + ROOM]))
-        levels = self._levels[tuple((cells - self._first).T)]
-        return np.where(levels <= z[:, None], levels, -np.inf).max(axis=1)
+    def below(self, xy: Array, z: Array, plain: bool) -> Array:
+        """The highest ground (n,) m at ``xy`` (n, 2) that is below ``z`` (n,); -inf without any. If ``plain``, the only
+        ground at a place counts too where it is above ``z``: a hill without overhangs."""
+        low, high = xy.min(axis=0), xy.max(axis=0)
+        if (low < self._lower).any() or (high > self._upper).any():
+            self._learn(np.minimum(low - ROOM, self._lower), np.maximum(high + ROOM, self._upper))
+        levels = self._levels[tuple(np.round((xy - self._lower) / self._column).astype(int).T)]
+        found = np.where(levels <= z[:, None], levels, -np.inf).max(axis=1)
+        alone = plain & np.isfinite(levels[:, 0]) & np.isnan(levels[:, 1:]).all(axis=1)
+        return np.where(alone, levels[:, 0], found)
 
-    def _learn(self, ends: Array) -> None:
-        first, last = ends.min(axis=0), ends.max(axis=0)
-        grid = np.stack(np.meshgrid(*map(np.arange, first, last + 1), indexing="ij"), axis=-1)
-        self._first = first
-        places = np.asarray(grid.reshape(-1, 2) * self._column, float)
-        self._levels = self._rock.levels(places).reshape(*grid.shape[:2], -1)
+    def _learn(self, lower: Array, upper: Array) -> None:
+        self._column = max(self._column, float((upper - lower).max()) / COLUMNS)
+        sides = [np.arange(low, high + self._column, self._column) for low, high in zip(lower, upper, strict=True)]
+        grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
+        self._lower, self._upper = lower, upper
+        self._levels = self._rock.levels(grid.reshape(-1, 2)).reshape(*grid.shape[:2], -1)
 
 
 def _cheapest(costs: Array, places: Array, jump: float) -> NDArray[np.int64]:
