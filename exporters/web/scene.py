@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,8 @@ from vehsim.exporters.pictures.render import HAZE, bounds_of, haze_end
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dome_mean, exposure_of, sky_image
+from vehsim.exporters.usd.scenery.water import surfaces
+from vehsim.exporters.usd.scenery.water_grid import Net, lay_grid
 from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, TILE, patches, ripples
 from vehsim.exporters.usd.stage import Material, Shape, StageReader
 from vehsim.intake.images import read_colours
@@ -93,7 +95,7 @@ def scene_block(take: Take, stage: StageReader) -> bytes:
         "light": _light(pack, stage),
         **_motion(pack, take, group_poses(stage, frames), stage),
         "cameras": list(_cameras(pack, stage, take, frames)),
-        "water": None if stage.water is None else _water(pack, stage, frames),
+        "water": None if stage.water is None else _water(pack, take, stage),
         "tyreMarks": list(_tyre_marks(pack, stage)),
     }
     return pack.block(header)
@@ -134,7 +136,6 @@ class Kinematics:
         return (
             list(take.clips) == list(self._take.clips)
             and take.frames == self._take.frames
-            and take.world.water is None
             and all(name is not None for name, _ in self._at)
             and [camera.name for camera in take.cameras] == [camera.name for camera in self._take.cameras]
             and take.world.content_hash == self._take.world.content_hash
@@ -226,6 +227,22 @@ def motion_block(take: Take, kinematics: Kinematics) -> bytes:
     ]
     poses = kinematics.poses(take, range(len(kinematics.groups)))
     return pack.block({"kind": "motion", **_motion(pack, take, poses, kinematics.stage), "cameras": cameras})
+
+
+def water_block(take: Take, stage: StageReader, progress: Callable[[float], object]) -> bytes:
+    """The moving surface of a take's water, computed without writing a stage; ``stage`` gives the origin.
+
+    ``progress`` receives the share of the frames that are done.
+    """
+    grid, frames, pack = lay_grid(take), _frames(take), Packing()
+    net = Net.over(grid.stored)
+
+    def shown() -> Iterator[tuple[Array, Array]]:
+        for k, surface in enumerate(surfaces(take, grid, frames)):
+            progress(k / len(frames))
+            yield net.of(surface.points - stage.origin), net.of(surface.foam)
+
+    return pack.block({"kind": "water", **_surface(pack, net.shape, net.of(grid.xy), shown(), len(frames))})
 
 
 def _motion(pack: Packing, take: Take, poses: Array, stage: StageReader) -> dict[str, Any]:
@@ -388,16 +405,37 @@ def _cameras(pack: Packing, stage: StageReader, take: Take, frames: Array) -> It
         }
 
 
-def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
-    """The moving surface in steps of `WATER_STEP`, as second differences over time, which compress to a few bits."""
-    rows, cols = stage.water_net.shape
+def _water(pack: Packing, take: Take, stage: StageReader) -> dict[str, Any]:
+    """The stage's surface, and how it looks."""
+    frames = _frames(take)
+    shown = ((points, foam) for points, _, foam, _ in map(stage.water_at, frames[: take.usd.water_frames].tolist()))
+    return {
+        **_surface(pack, stage.water_net.shape, TILE * stage.water_st(), shown, len(frames)),
+        "ripples": {"type": "image/png", **pack.content(ripples())},
+        "tile": TILE,
+        "clear": CLEAR.tolist(),
+        "white": FOAM.tolist(),
+        "rough": ROUGH[0],
+    }
+
+
+def _surface(
+    pack: Packing, shape: tuple[int, int], rest: Array, shown: Iterable[tuple[Array, Array]], count: int
+) -> dict[str, Any]:
+    """A moving surface in steps of `WATER_STEP`, as second differences over time, which compress to a few bits.
+
+    ``shown``: its points (n, 3) m and foam (n,) on a net of ``shape``, for ``count`` frames; ``rest`` (n, 2) m: the
+    points at rest.
+    """
+    rows, cols = shape
     halvings = (2**k for k in range(7))  # columns are a multiple of 16, and one more
-    every = next(k for k in halvings if -(-rows // k) * -(-cols // k) * len(frames) <= WATER_SAMPLES or k == 64)
+    every = next(k for k in halvings if -(-rows // k) * -(-cols // k) * count <= WATER_SAMPLES or k == 64)
     chosen = np.arange(rows * cols).reshape(rows, cols)[::every, ::every]
-    surfaces = [stage.water_at(frame) for frame in frames.tolist()]
-    points = np.stack([each[0][chosen.ravel()] for each in surfaces])
-    rest = TILE * stage.water_st()[chosen.ravel()].T
-    foam = np.stack([patches(rest, each[2][chosen.ravel()], np.inf) for each in surfaces])
+    fewer = [
+        (points[chosen.ravel()], patches(rest[chosen.ravel()].T, foam[chosen.ravel()], np.inf))
+        for points, foam in shown
+    ]
+    points, foam = (np.stack(each) for each in zip(*fewer, strict=True))
     moved = points - points[0]
     bends = np.diff(moved, n=2, axis=0, prepend=np.zeros((2, *moved.shape[1:])))
     step = max(WATER_STEP, float(np.abs(bends).max()) / 30_000)  # they are stored in 16 bits
@@ -408,11 +446,6 @@ def _water(pack: Packing, stage: StageReader, frames: Array) -> dict[str, Any]:
         "start": pack.array(points[0], "f4"),
         "bends": pack.array(np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *moved.shape[1:]), np.int32)), "i2"),
         "foam": pack.array(np.round(255 * foam), "u1"),
-        "ripples": {"type": "image/png", **pack.content(ripples())},
-        "tile": TILE,
-        "clear": CLEAR.tolist(),
-        "white": FOAM.tolist(),
-        "rough": ROUGH[0],
     }
 
 

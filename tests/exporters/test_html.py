@@ -220,14 +220,25 @@ def test_water_moves_as_on_the_stage(toys, tmp_path, monkeypatch, most):
     block = Block(web.scene_block(take, stage))
     water = block.header["water"]
     rows, cols = water["shape"]
-    bends = block.array(water["bends"]).reshape(24, rows * cols, 3).astype(np.int64)
-    shown = block.array(water["start"]).reshape(-1, 3) + water["step"] * bends.cumsum(axis=0).cumsum(axis=0)
+    shown = _moved(block, water)
     assert 24 * rows * cols <= most
     for k in (0, 11, 23):
         points = stage.water_at(1001.0 + k)[0].reshape(*stage.water_net.shape, 3)
         every = -(-points.shape[0] // rows)
         assert np.abs(shown[k] - points[::every, ::every].reshape(-1, 3)).max() <= 0.51 * water["step"] + 1e-4
     assert np.ptp(shown[:, :, 2]) > 0.5
+
+    alone = Block(web.water_block(take, stage, lambda share: None))
+    assert alone.header["shape"] == water["shape"]
+    np.testing.assert_allclose(_moved(alone, alone.header), shown, atol=1.01 * water["step"] + 1e-4)
+    np.testing.assert_allclose(alone.array(alone.header["foam"]), block.array(water["foam"]), atol=2)
+
+
+def _moved(block, water):
+    """Places (24, n, 3) m of the water's points."""
+    start = block.array(water["start"]).reshape(-1, 3)
+    bends = block.array(water["bends"]).reshape(24, len(start), 3).astype(np.int64)
+    return start + water["step"] * bends.cumsum(axis=0).cumsum(axis=0)
 
 
 def test_a_browser_shows_it(delivered, tmp_path):

@@ -218,6 +218,61 @@ look_at = [8, 0, 0]   # the garage
 """
 
 
+@pytest.fixture
+def afloat(tmp_path):
+    path = tmp_path / "afloat.toml"
+    water = "[[world.water.wave]]\nheight = 0.2\nlength = 9\n"
+    path.write_text(
+        SHOT.replace("[[vehicle]]", water + "[[vehicle]]", 1).replace('"car"', '"boat"').replace("1073", "1121")
+    )
+    return path
+
+
+def test_a_boat_is_shown_before_the_water_moves(afloat):
+    async def run():
+        async with served(afloat) as address, browser(address) as page:
+            scene = await page.until("scene")
+            water = await page.until("water")
+            still = scene.header["water"]
+            assert still["shape"] == water.header["shape"]
+            count = np.prod(still["shape"])
+            assert len(scene.array(still["foam"])) == count and len(water.array(water.header["foam"])) == 121 * count
+            before = len(page.seen)
+            await page.send(**moved("place", 9, 1))
+            await page.until("water")
+            assert "motion" in page.seen[before:] and "scene" not in page.seen[before:]
+            async with browser(address) as late:  # it sees what the others see
+                assert (await late.until("water")).header == page.last["water"].header
+
+    asyncio.run(run())
+
+
+def test_what_is_requested_does_not_wait_for_the_water(afloat, monkeypatch):
+    pouring, block = threading.Event(), live_session.water_block
+
+    def slowly(take, stage, progress):
+        def told(share):
+            progress(share)
+            if share > 0 and not pouring.is_set():
+                pouring.set()
+                while True:
+                    progress(share)  # until it is interrupted
+                    time.sleep(0.01)
+
+        return block(take, stage, told)
+
+    monkeypatch.setattr(live_session, "water_block", slowly)
+
+    async def run():
+        async with served(afloat) as address, browser(address) as page:
+            await asyncio.to_thread(pouring.wait, PATIENCE)
+            await page.send(kind="save")
+            assert "saved" in (await page.until("said"))["text"] and "water" not in page.seen
+            await page.until("water")  # it starts again
+
+    asyncio.run(run())
+
+
 def test_obstacles_and_what_a_camera_looks_at_are_dragged(path):
     far = SHOT.replace("1073", "1145").replace("[8, 1, 0]", "[24, 1, 0]").replace("segments = 8", "clearance = 0.3")
     path.write_text(far + WALL)

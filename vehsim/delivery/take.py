@@ -79,7 +79,8 @@ class UsdSettings:
     adds a variant with the fewest keys within this tolerance. ``curves`` (m, degrees): adds a variant with splines
     within these tolerances. ``clip_frames``: value clips of that many frames.
     ``layer_only``: write only the vehicles' animation layers. ``tyre_marks``: those of sliding tyres on the ground.
-    ``spray``: with the water's spray, which takes nearly half of its time.
+    ``spray``: with the water's spray, which takes nearly half of its time. ``water_frames``: how many
+    of the first frames have its surface.
     """
 
     up_axis: str = "Z"
@@ -94,6 +95,7 @@ class UsdSettings:
     tyre_marks: bool = True
     versions: bool = False
     spray: bool = True
+    water_frames: int | None = None
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,9 @@ class Server:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="solver")
         self._browsers: list[Browser] = []
         self._scene: bytes | None = None
+        self._water: bytes | None = None
+        """How the water moves, if the page has been shown."""
+        self._pouring = False
         self._told_motion = False
         self._drag: tuple[Drag, Browser] | None = None
         self._dragging: Browser | None = None
@@ -133,6 +136,8 @@ class Server:
             self._queue(Job(partial(self._show, browser)))
         elif self._scene is not None:  # else the first solve, which still runs, shows it the scene
             browser.tell(self._scene)
+            if self._water is not None:
+                browser.tell(self._water)
         browser.tell(self._session.state)
         try:
             with suppress(ConnectionClosed):
@@ -169,7 +174,7 @@ class Server:
 
     def _queue(self, job: Job) -> None:
         self._jobs.append(job)
-        if job.supersedes:
+        if job.supersedes or self._pouring:
             self._session.superseded.set()
         self._wake.set()
 
@@ -200,17 +205,20 @@ class Server:
         """Tell the browsers, and keep a scene for those that come later until motion follows it."""
         if (kind := _kind(block)) in ("scene", "motion"):
             self._scene = block if kind == "scene" else None
+        if kind in ("scene", "water"):
+            self._water = block if kind == "water" else None
         self._tell(block)
 
     # ------------------------------------------------------------ work
 
     async def _work(self) -> None:
-        """Do what was requested, one after the other; then draw a drag, or solve what was interrupted."""
+        """Do what was requested, one after the other; then draw a drag, or finish what was interrupted."""
         await self._solve(self._session.solve)
+        self._wake.set()
         while True:
             await self._wake.wait()
             self._wake.clear()
-            while self._jobs or self._drag or (self._session.interrupted and self._dragging is None):
+            while self._jobs or self._drag or (self._unfinished and self._dragging is None):
                 job = self._jobs.pop(0) if self._jobs else None
                 if not any(one.supersedes for one in self._jobs):
                     self._session.superseded.clear()
@@ -219,8 +227,15 @@ class Server:
                 elif self._drag:
                     (message, browser), self._drag = self._drag, None
                     await self._dragged(message, browser)
-                else:
+                elif self._session.interrupted:
                     await self._solve(self._session.solve)
+                else:
+                    await self._pour()
+
+    @property
+    def _unfinished(self) -> bool:
+        """Whether something remains to be solved or drawn that a newer request interrupts."""
+        return self._session.interrupted or self._session.waits_for_water
 
     async def _do(self, action: Action, message: Message) -> None:
         """Act on a message, and tell the browsers the new state, then how it went."""
@@ -275,6 +290,19 @@ class Server:
             with suppress(VehsimError):
                 await self._in_thread(self._session.prepare)
 
+    async def _pour(self) -> None:
+        """Show how the water moves around the vehicles."""
+        self._pouring = True
+        try:
+            self._tell_block(await self._in_thread(self._session.water))
+        except Superseded:
+            return
+        except VehsimError as error:
+            self._tell({"kind": "refused", "text": str(error)})
+        finally:
+            self._pouring = False
+        self._tell(self._session.state)
+
     async def _drive(self, message: TakeControls) -> None:
         """Drive until anything else is requested, or the browser that drives has gone."""
         session, loop, driver = self._session, self._loop, self._browsers[:1]
@@ -299,6 +327,8 @@ class Server:
                 self._scene = await self._in_thread(self._session.scene)
         if self._scene is not None:
             browser.tell(self._scene)
+            if self._water is not None:
+                browser.tell(self._water)
             await self._compared(browser.tell)
 
     async def _compared(self, tell: Callable[[bytes], None]) -> None:

@@ -31,6 +31,7 @@ from vehsim.exporters.web.scene import (
     motion_block,
     movable,
     scene_block,
+    water_block,
 )
 from vehsim.live.document import Document, write
 from vehsim.live.messages import (
@@ -118,6 +119,8 @@ class Session:
         """Time at which the next iterate is drawn, on the clock of `time.monotonic`, s."""
         self._on_screen: Take | None = None
         """The take whose scene or motion the page shows; one of straight guesses if no solve has succeeded."""
+        self._afloat: Take | None = None
+        """The take whose moving water the page shows."""
         self._drafts: dict[str, Drawn] = {}
         self._solved_handles: list[Handle] = []
         self._drawn_handles: dict[str, Handle] = {}
@@ -225,19 +228,39 @@ class Session:
         return self._shown(take)
 
     def scene(self) -> bytes:
-        """The whole scene of what the page shows, read from a stage that is exported for it."""
+        """The whole scene of what the page shows, read from a stage that is exported for it.
+
+        Water is that of the first frame; `water` follows.
+        """
         from vehsim.exporters.usd.stage import StageReader
 
-        take = self._on_screen
-        assert take is not None
+        assert self._on_screen is not None
+        take = _plain(self._on_screen)
         self._draws("drawing", 0.0)
         self._scenes.cleanup()
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")  # USD remembers the layers of an open path
-        folder = _plain(take).export(self._scenes.name, to=("usd",), progress=self._draws)
+        folder = take.export(self._scenes.name, to=("usd",), progress=self._draws)
         stage = StageReader(folder / f"{take.name}.usda", moving=movable(take))
         self._kinematics = Kinematics(take, stage)
         self._drawn_handles = {handle.key: handle for handle in self._solved_handles}
         return scene_block(take, stage)
+
+    @property
+    def waits_for_water(self) -> bool:
+        """Whether the page shows the water of the first frame, or of another motion."""
+        take = self._on_screen
+        return take is not None and take.world.water is not None and take is not self._afloat
+
+    def water(self) -> bytes:
+        """How the water moves around what the page shows, which takes longer than all else. Raises `Superseded`."""
+        take, before = self._on_screen, self._afloat
+        assert take is not None and self._kinematics is not None
+        self._afloat = take  # also if it fails, which would fail again
+        try:
+            return water_block(take, self._kinematics.stage, lambda share: self._progress("drawing the water", share))
+        except Superseded:
+            self._afloat = before
+            raise
 
     def _shown(self, take: Take) -> bytes:
         """What makes the page show a take: its motion if the scene stays as it is, else the whole scene."""
@@ -639,7 +662,16 @@ class Session:
 
 def _plain(take: Take) -> Take:
     """A take whose stage contains only what the page shows."""
-    form = replace(take.usd, thin=None, curves=None, clip_frames=None, layer_only=False, versions=False, spray=False)
+    form = replace(
+        take.usd,
+        thin=None,
+        curves=None,
+        clip_frames=None,
+        layer_only=False,
+        versions=False,
+        spray=False,
+        water_frames=1,
+    )
     return replace(take, usd=form)
 
 

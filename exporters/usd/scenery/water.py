@@ -83,7 +83,7 @@ def write_water(take: Take, folder: Path, progress: Callable[[float], object] = 
     rest = np.column_stack([grid.xy, np.full(len(grid.xy), water.level)])
     origin = author_origin(mesh, rest.mean(axis=0))
     _set_points(points.Set, extent.Set, rest - origin)
-    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)[: take.usd.water_frames]
     spray: list[Drops] = []
     for k, (frame, shown) in enumerate(zip(frames.tolist(), surfaces(take, grid, frames), strict=True)):
         place, normals, foam, lowered, drops = shown

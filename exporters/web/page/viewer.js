@@ -91,7 +91,7 @@ const vehsim = {};
       this._makeLight();
       this._makeShapes();
       this._makeCameras();
-      this.water = header.water && new Water(header.water, array, this);
+      this.water = header.water && new Water(header.water, array, this._waterMaterial(header.water), this.scene);
       this.tyreMarks = (header.tyreMarks || []).map((given) => new TyreMark(given, array, this));
       this._makeOverlays();
       this.setMotion(header, array);
@@ -321,6 +321,24 @@ const vehsim = {};
         setPose(copy.matrix, poses, k);
         copy.matrixWorldNeedsUpdate = true;
       }
+    }
+
+    _waterMaterial(given) {
+      const material = new THREE.MeshStandardMaterial({
+        vertexColors: true, roughness: given.rough, metalness: 0, side: THREE.DoubleSide,
+        normalMap: this.texture(given.ripples), normalScale: new THREE.Vector2(1.6, 1.6),
+      });
+      material.userData = { tile: given.tile, clear: given.clear, white: given.white };
+      return material;
+    }
+
+    /** Another motion of the water. */
+    setWater(header, array) {
+      const { mesh } = this.water;
+      this.scene.remove(mesh);
+      mesh.geometry.dispose();
+      this.water = new Water(header, array, mesh.material, this.scene);
+      this.show(this.frame);
     }
 
     /** A driven vehicle as it is now, with the orbit's camera on a rope behind it. */
@@ -852,8 +870,10 @@ const vehsim = {};
   // ---------------------------------------------------------------- water
 
   class Water {
-    constructor(given, array, viewer) {
+    constructor(given, array, material, scene) {
       const [rows, cols] = given.shape;
+      const { tile, clear, white } = material.userData;
+      Object.assign(this, { clear, white });
       this.count = rows * cols;
       this.start = array(given.start);
       this.step = given.step;
@@ -869,8 +889,8 @@ const vehsim = {};
       this.geometry.setAttribute("color", this.colour);
       const uv = new Float32Array(2 * this.count);
       for (let k = 0; k < this.count; k++) {
-        uv[2 * k] = this.start[3 * k] / given.tile;
-        uv[2 * k + 1] = this.start[3 * k + 1] / given.tile;
+        uv[2 * k] = this.start[3 * k] / tile;
+        uv[2 * k + 1] = this.start[3 * k + 1] / tile;
       }
       this.geometry.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
       const faces = [];
@@ -880,19 +900,15 @@ const vehsim = {};
           faces.push(a, a + 1, b + 1, a, b + 1, b);
         }
       this.geometry.setIndex(faces);
-      this.clear = given.clear;
-      this.white = given.white;
-      const material = new THREE.MeshStandardMaterial({
-        vertexColors: true, roughness: given.rough, metalness: 0, side: THREE.DoubleSide,
-        normalMap: viewer.texture(given.ripples), normalScale: new THREE.Vector2(1.6, 1.6),
-      });
-      const mesh = new THREE.Mesh(this.geometry, material);
-      mesh.frustumCulled = false;
-      mesh.receiveShadow = true;
-      viewer.scene.add(mesh);
+      this.mesh = new THREE.Mesh(this.geometry, material);
+      this.mesh.frustumCulled = false;
+      this.mesh.receiveShadow = true;
+      scene.add(this.mesh);
     }
 
-    show(frame) {
+    /** The surface on a frame, or on the last that it has. */
+    show(index) {
+      const frame = Math.min(index, this.foam.length / this.count - 1);
       const places = this.place.array, colours = this.colour.array, row = 3 * this.count, at = row * frame;
       for (let k = 0; k < row; k++) places[k] = this.start[k] + this.step * this.steps[at + k];
       for (let k = 0; k < this.count; k++) {

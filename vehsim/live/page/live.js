@@ -135,6 +135,8 @@
     else if (header.kind === "motion") {
       viewer.setMotion(header, array);
       drawHandles();
+    } else if (header.kind === "water") {
+      viewer.setWater(header, array);
     } else if (header.kind === "draft" && (dragged || !editor)) viewer.setDraft(header, array);
     else if (header.kind === "preview") viewer.setDraft(header, array);
     else if (header.kind === "iterate") viewer.setIterate(header, array);
