@@ -20,7 +20,7 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.vehicles import State
 from vehsim.vehicles.definition.coefficients import Coefficients, Memory
-from vehsim.world.water.boundary_elements import available, peaks
+from vehsim.world.water.boundary_elements import available, peaks, plausible
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.water.hull_mesh import HullMesh
 from vehsim.world.water.memory import WEAK, Radiation, Remembered, fitted, gain
@@ -181,15 +181,10 @@ def motions(name, heading, k):
 @pytest.mark.parametrize("heading", STORED["headings"])
 @pytest.mark.parametrize("name", HULLS)
 def test_motions_are_capytaines(name, heading):
-    """From 0.25 to 8 wavelengths per length, with the same viscous roll damping.
-
-    The roll of the barge is not, in waves of 3 to 6 lengths: its bound is wider by 10 % and 0.06.
-    """
+    """From 0.25 to 8 wavelengths per length, with the same viscous roll damping: within 10 % or 0.02."""
     wanted = np.array(STORED["hulls"][name]["damped"][STORED["headings"].index(heading)])
     found = np.array([motions(name, heading, k) for k in range(len(STORED["lengths"]))])
-    bound = np.maximum(0.1 * wanted, 0.02) + 1e-9
-    bound[:, 1] += (name == "barge") * (0.06 + 0.1 * wanted[:, 1])
-    np.testing.assert_array_less(np.abs(found - wanted), bound)
+    np.testing.assert_array_less(np.abs(found - wanted), np.maximum(0.1 * wanted, 0.02) + 1e-9)
 
 
 def test_a_free_hull_heaves_as_its_response_says():
@@ -236,6 +231,32 @@ def test_values_given_by_hand_override():
     assert made.memory is None and found.overridden(None, (0.0, 0.0, 0.0)).memory is found.memory
 
 
+@pytest.mark.skipif(not available(), reason="pip install 'vehsim[hydro]'")
+def test_diffraction_fits_the_added_mass():
+    """Both are symmetrised alike: a wave of a thousand lengths accelerates the water around a hull, which pushes it
+    with the added mass that resists its own motion, in sway and in roll about a high centre."""
+    import capytaine
+
+    from vehsim.world.water.boundary_elements import TWIST, haskind
+
+    box = capytaine.mesh_parallelepiped(size=(20, 6, 3), resolution=(8, 4, 4)).immersed_part()
+    dofs = capytaine.rigid_body_dofs(rotation_center=(0, 0, 1))
+    body = capytaine.FloatingBody(box, dofs=dofs, center_of_mass=(0, 0, 1))
+    modes, solver = [list(body.dofs)[k] for k in TWIST], capytaine.BEMSolver()
+    number = 2 * np.pi / 20_000
+    of = {"body": body, "omega": np.sqrt(GRAVITY * number), "rho": 1025.0, "g": GRAVITY}
+    quiet = {"progress_bar": False, "_check_wavelength": False}
+    moved = solver.solve_all([capytaine.RadiationProblem(radiating_dof=mode, **of) for mode in modes], **quiet)
+    held = [capytaine.DiffractionProblem(wave_direction=np.pi / 2, **of)]
+    direct = np.array([solver.solve_all(held, **quiet)[0].forces[mode] for mode in modes])
+    added = np.array([[row.added_mass[mode] for mode in modes] for row in moved])  # rows: the moving mode
+    swayed = np.array([0, 0, 0, 0, -1j * GRAVITY * number, 0])  # of the water; it heaves as well
+    assert abs(added[0, 4] / added[4, 0] - 1) > 0.02  # the panels are coarse
+    reciprocal = haskind(box, moved, held, 1025.0)[0]
+    np.testing.assert_allclose(direct[[0, 4]], (added.T @ swayed)[[0, 4]], rtol=0.01)
+    np.testing.assert_allclose(reciprocal[[0, 4]], (added @ swayed)[[0, 4]], rtol=0.01)
+
+
 def test_a_file_is_read_as_written(tmp_path):
     found = coefficients(HULLS[0])
     found.save(tmp_path / "a.npz")
@@ -277,6 +298,15 @@ def test_a_peak_asks_for_more_frequencies():
     asked = peaks(omega, sharp, 0.01)
     assert np.abs(asked - 2.53).min() < 0.05 and len(asked) < 12
     assert len(peaks(omega, sharp, 0.2)) == 0
+
+
+def test_an_added_mass_that_contradicts_the_solved_one_is_left_out():
+    """That of a catamaran by Kramers and Kronig was not even positive: its peaks are narrower than the frequencies."""
+    solved = coefficients("barge").infinite
+    assert plausible(1.02 * solved, solved) is not solved
+    coupled = solved.copy()
+    coupled[0, 4] = coupled[4, 0] = 2 * np.sqrt(solved[0, 0] * solved[4, 4])
+    np.testing.assert_array_equal(plausible(coupled, solved), solved)
 
 
 def boat_folder(folder, hydro):
@@ -358,7 +388,7 @@ def test_capytaine_computes_a_hull(tmp_path, monkeypatch):
     body = afloat("barge")
     done = []
     found = boundary_elements.coefficients(body.hull, body.floating()[0], lambda what, share: done.append(share))
-    np.testing.assert_allclose(np.diag(found.infinite), np.diag(coefficients("barge").infinite), rtol=0.15)
+    np.testing.assert_allclose(np.diag(found.infinite), np.diag(coefficients("barge").infinite), rtol=0.2)
     assert len(done) > 10
     monkeypatch.setattr(boundary_elements, "_computed", None)
     again = boundary_elements.coefficients(body.hull, body.floating()[0])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hulls import box, floating, join, sphere
+from hulls import FORMS, box, floating, join, lofted, sphere
 
 from vehsim.constants import GRAVITY
 from vehsim.vehicles import State
@@ -48,6 +48,9 @@ def surface(hull):
     if hull["shape"] == "ellipsoid":
         points, faces = sphere(1.0, 3)
         return points * [length / 2, beam / 2, draft] - [0, 0, hull["centre"]], faces
+    if hull["shape"] in FORMS:
+        points, faces = lofted(hull["shape"], hull["size"], draft)
+        return points - [hull["ahead"], 0, hull["centre"]], faces
     half = hull.get("apart", 0.0) / 2
     parts = [box(length, beam, 2 * draft, (0, y, -hull["centre"])) for y in sorted({half, -half})]
     return join(*parts)

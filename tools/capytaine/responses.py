@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 STORED = Path(__file__).parents[2] / "tests" / "world" / "capytaine.json"
+sys.path.insert(0, str(STORED.parent))
 RHO, G = 1025.0, 9.81
 LENGTHS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 """Of waves, over the hull's."""
@@ -27,9 +29,11 @@ HULLS: dict[str, dict[str, Any]] = {
     "pontoon": {"shape": "box", "size": (12.0, 4.0, 0.5), "centre": 0.8},
     "ellipsoid": {"shape": "ellipsoid", "size": (8.0, 4.0, 1.6), "centre": -0.3},
     "catamaran": {"shape": "boxes", "size": (12.0, 1.2, 0.8), "apart": 4.5, "centre": 0.8},
+    "wigley": {"shape": "wigley", "size": (16.0, 3.0, 1.2), "centre": -0.3, "ahead": 0.0},
+    "tug": {"shape": "tug", "size": (12.0, 4.5, 1.6), "centre": -0.2, "ahead": -0.3077},
 }
-"""Length, beam and draft (m) of each; height (m) of the centre of mass above the water."""
-COMPUTED = ("pontoon", "ellipsoid", "barge")
+"""Length, beam and draft (m) of each; place (m) of the centre of mass above the water and ahead of the middle."""
+COMPUTED = tuple(name for name in HULLS if name != "catamaran")
 """Hulls whose coefficients are stored for the tests."""
 VISCOUS = 0.05
 """Viscous damping of roll over the critical one, without added mass."""
@@ -43,6 +47,8 @@ def mesh(hull: dict[str, Any], finer: int = 1) -> Any:
     if hull["shape"] == "ellipsoid":
         ball = capytaine.mesh_sphere(radius=1, resolution=(24 * finer, 40 * finer)).immersed_part()
         return capytaine.Mesh(ball.vertices * [length / 2, beam / 2, draft], ball.faces)
+    if hull["shape"] not in ("box", "boxes"):
+        return lofted(hull, (36 * finer, 10 * finer))
     parts = [
         capytaine.mesh_parallelepiped(
             size=(length, beam, 2 * draft),
@@ -54,11 +60,27 @@ def mesh(hull: dict[str, Any], finer: int = 1) -> Any:
     return parts[0] if len(parts) == 1 else parts[0].join_meshes(parts[1])
 
 
+def lofted(hull: dict[str, Any], many: tuple[int, int]) -> Any:
+    """The mesh of a hull given by a formula: quadrangles that are narrow at the ends and at the keel."""
+    import capytaine
+    from hulls import sections
+
+    sides = sections(hull["shape"], hull["size"], many, even=False)
+    n, m = many
+    i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    corner = i * (m + 1) + j
+    quads = np.stack([corner, corner + m + 1, corner + m + 2, corner + 1], axis=-1).reshape(-1, 4)
+    parts = [
+        capytaine.Mesh(side.reshape(-1, 3), faces) for side, faces in zip(sides, (quads, quads[:, ::-1]), strict=True)
+    ]
+    return parts[0].join_meshes(parts[1])
+
+
 def responses(hull: dict[str, Any]) -> dict[str, Any]:
     """Mass data, added mass and damping by wave, and motions (heading, wave, [heave, roll, pitch])."""
     import capytaine
 
-    centre, length = (0.0, 0.0, hull["centre"]), hull["size"][0]
+    centre, length = (hull.get("ahead", 0.0), 0.0, hull["centre"]), hull["size"][0]
     surface, fine = mesh(hull), mesh(hull, 4)
     width = float(np.ptp(surface.vertices[:, 1]))
     body = capytaine.FloatingBody(
@@ -141,9 +163,6 @@ def main() -> None:
 
 def write_coefficients(folder: Path) -> None:
     """Those of `vehsim hydro` for the stored hulls, in single precision and at every fifth heading, for the tests."""
-    import sys
-
-    sys.path.insert(0, str(STORED.parent))
     from hulls import floating
     from test_wave_response import surface
 

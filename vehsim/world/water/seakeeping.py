@@ -100,5 +100,5 @@ def between(omega: Array, forces: NDArray[np.complex128], wanted: Array) -> NDAr
     number = np.concatenate([[0.0], omega**2 / GRAVITY])
     forces = np.concatenate([np.zeros((1, *forces.shape[1:]), complex), forces])
     found = np.asarray(CubicSpline(number, forces)(np.minimum(wanted, omega[-1]) ** 2 / GRAVITY))
-    found[wanted > omega[-1]] = 0.0
+    found[wanted > (1 + 1e-6) * omega[-1]] = 0.0
     return found
