@@ -90,10 +90,28 @@ def test_the_ball_bound_is_that_of_the_double_integrator():
     assert not free.rules_out(np.array([40.0, 0, 0]), 0.1, 4.5, np.inf, np.inf)
 
 
+def test_motions_with_one_acceleration_in_each_half_are_recognised():
+    """Those are found without a search; integrated in closed form, they are possible exactly inside the ball."""
+    random, ball, seconds = np.random.default_rng(3), Ball(np.array([0.0, 0.0, -9.81]), 15.0), 3.0
+    found = []
+    for _ in range(200):
+        start, *halves = random.normal(size=(3, 3)) * [[3.0], [8.0], [8.0]] + [[0] * 3, ball.centre, ball.centre]
+        middle = start + halves[0] * seconds / 2
+        end = middle + halves[1] * seconds / 2
+        displacement = (start + 2 * middle + end) * seconds / 4
+        inside = all(np.linalg.norm(half - ball.centre) <= ball.radius for half in halves)
+        assert ball._leads(displacement, seconds, start, end) == inside
+        assert not (inside and ball.rules_out(displacement, 0.0, seconds, start, end))
+        found.append(inside)
+    assert 20 < sum(found) < 180
+    assert ball._leads(np.array([10.0, 0, 0]), seconds, 4.0, np.inf)  # at 10 / 3 m/s all the way
+    assert not ball._leads(np.array([90.0, 0, 0]), seconds, 4.0, 4.0)
+
+
 def test_strength_is_force_over_inertia():
     robot, boat = vehsim.load_vehicle("two_wheeled"), vehsim.load_vehicle("boat").planar
     assert 80 / 17.2 <= strength(robot) <= 1.1 * 80 / 17.2
-    assert push_of(boat, (0.0, 0.0, 0.0)).gain < push_of(boat, (0.0, 15.0, 0.0)).gain < 6
+    assert push_of(boat, (0.0, 0.0, 0.0), 0.0).gain < push_of(boat, (0.0, 15.0, 0.0), 0.0).gain < 6
     assert strength(tug()) == np.inf
 
 

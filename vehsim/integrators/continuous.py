@@ -41,33 +41,32 @@ def execute(
     ``steps`` (n - 1,) s. Starts from ``g, r`` and the free velocity ``z``. Returns group coordinates (n, size) and
     joints (n, s) at the knots, to compare a plan with the actual effect of its controls.
     """
-    segment = _rk4_segment(vehicle, max(fine, math.ceil(float(steps.max()) / vehicle.largest_step - 1e-9)))
-    sizes = [len(g), len(r), len(z)]
+    fine = max(fine, math.ceil(float(steps.max()) / vehicle.largest_step - 1e-9))
+    sizes, count = [len(g), len(r), len(z)], fine * len(steps)
+    share = np.linspace(0.0, 1.0, fine + 1)[:, None]
+    fractions = controls[:-1, None] + share * np.diff(controls, axis=0)[:, None]
+    ends = (fractions[:, k : fine + k].reshape(count, -1).T for k in (0, 1))
     x = np.concatenate([g, r, z])
-    n = len(steps)
-    states = segment.mapaccum(n)(x, controls[:-1].T, controls[1:].T, steps[None], np.tile(wind[:, None], n))
-    rows = np.vstack([x, np.asarray(states).T])
+    lengths = np.repeat(steps / fine, fine)[None]
+    states = np.asarray(_rk4_step(vehicle).mapaccum(count)(x, *ends, lengths, ca.repmat(ca.DM(wind), 1, count)))
+    rows = np.vstack([x, states[:, fine - 1 :: fine].T])
     return rows[:, : sizes[0]], rows[:, sizes[0] : sizes[0] + sizes[1]]
 
 
 @lru_cache(maxsize=32)
-def _rk4_segment(vehicle: Vehicle, fine: int) -> ca.Function:
+def _rk4_step(vehicle: Vehicle) -> ca.Function:
+    """``(x, c0, c1, h, wind) -> x``: one step of RK4 with ``x = (g, r, z)`` and controls linear in time."""
     law = equations_of_motion(vehicle)
     sizes = [law.size1_in(i) for i in range(4)]
-    x = ca.MX.sym("x", sum(sizes[:3]))
-    c0, c1, h, wind = ca.MX.sym("c0", sizes[3]), ca.MX.sym("c1", sizes[3]), ca.MX.sym("h"), ca.MX.sym("wind", 3)
-    cuts = [0, *(int(k) for k in np.cumsum(sizes[:3]))]
+    x, c0, c1 = (ca.SX.sym("x", n) for n in (sum(sizes[:3]), sizes[3], sizes[3]))
+    h, wind = ca.SX.sym("h"), ca.SX.sym("wind", 3)
+    cuts, rate = [0, *(int(k) for k in np.cumsum(sizes[:3]))], (c1 - c0) / h
 
-    def slope(x: ca.MX, fraction: float) -> ca.MX:
-        parts = ca.vertsplit(x, cuts)
-        return h * ca.vertcat(*law(*parts, c0 + fraction * (c1 - c0), (c1 - c0) / h, wind))
+    def slope(x: ca.SX, c: ca.SX) -> ca.SX:
+        return h * ca.vertcat(*law(*ca.vertsplit(x, cuts), c, rate, wind))
 
-    end = x
-    for k in range(fine):
-        s, half, next_ = k / fine, (k + 0.5) / fine, (k + 1) / fine
-        k1 = slope(end, s) / fine
-        k2 = slope(end + k1 / 2, half) / fine
-        k3 = slope(end + k2 / 2, half) / fine
-        k4 = slope(end + k3, next_) / fine
-        end = end + (k1 + 2 * k2 + 2 * k3 + k4) / 6
-    return ca.Function("rk4", [x, c0, c1, h, wind], [end])
+    k1 = slope(x, c0)
+    k2 = slope(x + k1 / 2, (c0 + c1) / 2)
+    k3 = slope(x + k2 / 2, (c0 + c1) / 2)
+    k4 = slope(x + k3, c1)
+    return ca.Function("rk4", [x, c0, c1, h, wind], [x + (k1 + 2 * k2 + 2 * k3 + k4) / 6])

@@ -9,19 +9,21 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from vehsim.lie.once import built_once
+
 
 def vectorized(method: Callable[..., Any]) -> Callable[..., Any]:
     """Let ``method(self, x, y, ...)``, written for column expressions, also accept arrays of shape ``(..., n)``.
 
-    Symbolic arguments are passed on unchanged. Arrays broadcast over their leading axes; the expression is built once
-    per instance and set of argument sizes. A column is returned as ``(..., n)``, a scalar as ``(...)``, a matrix as
-    ``(..., m, n)``.
+    Symbolic arguments are inserted into the expression, which is built once, see `built_once`. Arrays broadcast over
+    their leading axes. A column is returned as ``(..., n)``, a scalar as ``(...)``, a matrix as ``(..., m, n)``.
     """
+    symbolic = built_once(method)
 
     @functools.wraps(method)
     def call(self: Any, *arguments: Any) -> Any:
         if any(isinstance(a, ca.SX | ca.MX) for a in arguments):
-            return method(self, *arguments)
+            return symbolic(self, *arguments)
         arrays = [np.asarray(a, float) for a in arguments]
         lead = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
         function = _function(self, method, tuple(a.shape[-1] for a in arrays))
@@ -41,7 +43,7 @@ def vectorized(method: Callable[..., Any]) -> Callable[..., Any]:
 
 def _function(owner: Any, method: Callable[..., Any], sizes: tuple[int, ...]) -> ca.Function:
     cache = owner.__dict__.setdefault("_functions", {})
-    key = (method.__name__, sizes)
+    key = (method.__qualname__, sizes)
     if key not in cache:
         symbols = [ca.SX.sym(f"x{i}", n) for i, n in enumerate(sizes)]
         cache[key] = ca.Function(method.__name__.strip("_"), symbols, [ca.densify(ca.SX(method(owner, *symbols)))])

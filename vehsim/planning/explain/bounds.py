@@ -93,7 +93,7 @@ class Ball:
         ``leave``, ``arrive``: velocities (3,) m/s, a largest speed, or inf if free. The proof is by duality: a simplex
         search looks for a linear function of the motion's ends that no such acceleration can reach.
         """
-        if not (math.isfinite(self.radius) and seconds > 0):
+        if not (math.isfinite(self.radius) and seconds > 0) or self._leads(displacement, seconds, leave, arrive):
             return False
         t = np.linspace(0.0, seconds, 65)
 
@@ -126,6 +126,21 @@ class Ball:
             if found.fun < -1e-6 * max(1.0, float(np.linalg.norm(displacement))):
                 return True
         return False
+
+    def _leads(self, displacement: Array, seconds: float, leave: Any, arrive: Any) -> bool:
+        """Whether two accelerations, one in each half of the time, lead along ``displacement``."""
+        first, last = (_chosen(speed, displacement / seconds) for speed in (leave, arrive))
+        change, pull = (last - first) / seconds, 4 * (displacement - first * seconds) / seconds**2
+        accelerations = np.array([pull - change, 3 * change - pull])
+        return bool(np.linalg.norm(accelerations - self.centre, axis=1).max() <= self.radius)
+
+
+def _chosen(velocity: Any, wanted: Array) -> Array:
+    """A given velocity (3,) m/s; of those up to a speed, the nearest one to ``wanted``."""
+    if np.ndim(velocity):
+        return np.asarray(velocity, float)
+    speed = float(np.linalg.norm(wanted))
+    return wanted * (min(1.0, float(velocity) / speed) if speed else 1.0)
 
 
 def _most(weight: Array, velocity: Any) -> float:
@@ -161,7 +176,7 @@ def strength(vehicle: Vehicle) -> float:
     ball = thrust_ball(vehicle)
     if ball is not None:
         return float(np.linalg.norm(ball.centre)) + ball.radius
-    return push_of(vehicle, (0.0, 0.0, 0.0)).gain
+    return push_of(vehicle, (0.0, 0.0, 0.0), 0.0).gain
 
 
 def _largest(force: ca.Function, vehicle: Vehicle) -> float:
@@ -189,7 +204,7 @@ def _grid(bounds: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Push:
+def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     """Bounds on the change of speed of a vehicle's body frame in a ``wind`` (3,) m/s on ground of a ``slope``, m/m.
 
     With ``q`` the square root of twice its kinetic energy, ``dq/dt`` is the forces' power over ``q``: at most their
@@ -216,9 +231,9 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Pu
 
     n, here = len(inverse_roots[0]), _turned(vehicle, 0.0)
     still, calm = np.zeros(n), np.zeros(3)
-    most = 0.0
+    most, force, columns = 0.0, laws["force"].map(len(grid)), ca.DM(grid.T)
     for r, root in zip(joints, inverse_roots, strict=True):
-        pushes = np.array(laws["force"].map(len(grid))(here, r, still, grid.T, calm))
+        pushes = np.array(force(here, r, still, columns, calm))
         most = max(most, float(np.linalg.norm(root @ pushes, axis=0).max()))
 
     gains, losses = np.zeros(len(SPEEDS)), np.zeros(len(SPEEDS))
@@ -229,11 +244,12 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float = 0.0) -> Pu
     rays[: 2 * n] = np.vstack([np.eye(n), -np.eye(n)])[: min(2 * n, SAMPLES)]
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     force, r = laws["force"].map(SAMPLES), np.array([joints[k] for k in picks]).T.reshape(-1, SAMPLES)
-    rest = np.array(force(facing.T, r, np.zeros((n, SAMPLES)), controls.T, calm))
+    poses, shapes, columns = ca.DM(facing.T), ca.DM(r), ca.DM(controls.T)
+    rest = np.array(force(poses, shapes, ca.DM(n, SAMPLES), columns, calm))
     velocities = np.array([inverse_roots[k] @ ray for k, ray in zip(picks, rays, strict=True)])
     for k, speed in enumerate(SPEEDS):
         q = max(speed, 1e-6) / fastest
-        change = np.array(force(facing.T, r, q * velocities.T, controls.T, np.array(wind))) - rest
+        change = np.array(force(poses, shapes, q * velocities.T, columns, np.array(wind))) - rest
         power = (change * velocities.T).sum(axis=0)
         gains[k], losses[k] = max(0.0, float(power.max())), max(0.0, float(-power.min()))
     gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + GRAVITY * slope

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 def prolongate(trajectory: Trajectory, fine: Layout) -> Array:
     """Variables (size,) on a finer layout: every coarse segment's controls are executed from its own first knot."""
     transcription, coarse, x = trajectory.transcription, trajectory.layout, trajectory.x
+    if fine.segments == coarse.segments:
+        return x.copy()
     m, split = transcription.mechanics, fine.segments // coarse.segments
     k = np.arange(coarse.segments)
     state, z = x[coarse.knot(k)], x[coarse.velocity(k)]

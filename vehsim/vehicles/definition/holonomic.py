@@ -11,6 +11,7 @@ import numpy as np
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
+from vehsim.lie.once import built_once
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.mechanics import law, symbols
 from vehsim.vehicles.definition.vehicle import Vehicle
@@ -78,6 +79,7 @@ class Holonomic(Vehicle):
         forces = np.array(ca.Function("drag", [air], [force]).map(len(twists))(twists.T))
         return float(np.linalg.norm(forces, axis=0).max())
 
+    @built_once
     def reduced_lagrangian(self, r: Expr, u: Expr, xi: Expr) -> Expr:
         return ca.dot(xi, ca.DM(self.inertia) @ xi) / 2
 
@@ -87,6 +89,7 @@ class Holonomic(Vehicle):
     def connection(self, r: Expr) -> Expr:
         return ca.SX(self.group.dim, 0)
 
+    @built_once
     def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
         d, group = self.group.dim, self.group
         air, through = (group.velocity_to_body(g, x) for x in (xi - _still(group, g, wind), xi))

@@ -168,6 +168,8 @@ def drive_power(vehicle: Definition, g: Expr, r: Expr, z: Expr, c: Expr, wind: E
     Returns the power at constant controls, and the power per rate of each driving control (driven joints,).
     """
     joints, c_rate = [joint for joint, _ in vehicle.driven], ca.SX.sym("c_rate", c.shape[0])
+    if not joints:
+        return ca.SX(1, 1), ca.SX(0, 1)
     z_dot = acceleration(vehicle, g, r, z, c, c_rate, wind)
     on_joints, on_group = residual_force(vehicle, g, r, z, z_dot, c, c_rate, wind)
     on_bound = ca.vertcat(on_group, rows(on_joints, vehicle.tied))

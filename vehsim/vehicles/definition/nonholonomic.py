@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError
+from vehsim.lie.once import built_once
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.mechanics import CASADI_ERRORS, free_velocity, law, matrix, stacked, symbols
 from vehsim.vehicles.definition.vehicle import Vehicle
@@ -108,9 +109,11 @@ class Nonholonomic(Vehicle):
             )
         return w_r, w_xi
 
+    @built_once
     def reduced_lagrangian(self, r: Expr, u: Expr, xi: Expr) -> Expr:
         return self.lagrangian(r, u, xi)
 
+    @built_once
     def basis(self, r: Expr) -> Expr:
         """Basis of the null space of ``bound(r)``, (d + t, b)."""
         w = self.bound(r)
@@ -133,6 +136,7 @@ class Nonholonomic(Vehicle):
             return 1.0
         return ca.det(w[:, pivots]) ** 2 / ca.det(w @ w.T)
 
+    @built_once
     def connection(self, r: Expr) -> Expr:
         """``A(r)`` (d + t, s): ``-A u`` satisfies the constraints and carries no momentum along the free directions."""
         s, d, tied = len(self.joints), self.group.dim, list(self.tied)
@@ -151,6 +155,7 @@ class Nonholonomic(Vehicle):
             lift[:, others] = ca.solve(rows_x, rows_u)
         return lift
 
+    @built_once
     def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
         s, d = len(self.joints), self.group.dim
         if self.forces is None:
