@@ -59,6 +59,11 @@ class Body:
     def reference(self, name: str, compiled: bool) -> Kernel:
         return Kernel(reference_step(self.vehicle(SE3), REFERENCES[name]), compiled)
 
+    def energy(self, states: np.ndarray) -> np.ndarray:
+        """Energy, J, of states with momenta (6,) in columns 7 to 12."""
+        kinetic: np.ndarray = np.sum(states[:, 7:13] ** 2 / np.array([*self.inertia, *[self.mass] * 3]), axis=1) / 2
+        return kinetic
+
     def truth(self, times: np.ndarray) -> tuple[np.ndarray, Rotation]:
         """Straight line; Euler's equations by DOP853 to 1e-12."""
 

@@ -1,4 +1,4 @@
-"""CPU time to a given error on free bodies: methods of fourth and sixth order that keep the structure, against RK4.
+"""CPU time to a given error on rigid bodies, free and on a spring: methods that keep the structure, against RK4.
 
 ``python -m benchmarks.order [METHOD ...]`` prints one row for each method, or for those that are named; without names
 it writes ``RESULTS.order.md`` beside this file. Each method runs on each body with the fewest whole steps per second
@@ -10,23 +10,30 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bodies import Body, random_bodies
 from benchmarks.machine import heading
+from benchmarks.splitting import BY_HAND
 from vehsim.errors import SolveError
 from vehsim.integrators import Integrator
 from vehsim.integrators.fast.kernel import Kernel
 from vehsim.integrators.phase import packed
 from vehsim.integrators.references import reference_step
-from vehsim.lie import SE3, SO3xR3
-from vehsim.vehicles import State
+from vehsim.lie import SE3, SO3, SO3xR3
+from vehsim.vehicles import Nonholonomic, State
 
-SECONDS, COUNT = 60, 8
+COUNT = 2
+GRAVITY, STIFFNESS = 9.81, 20.0
+"""m/s^2, and that of the spring, N/m."""
 RATES = (2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128)
 """Steps per second."""
 METHODS: dict[str, tuple[Any, str, int]] = {
@@ -34,29 +41,89 @@ METHODS: dict[str, tuple[Any, str, int]] = {
     "tln6, SO(3)xR3": (SO3xR3, "tln6", 2),
     "tln order 4 (Suzuki), SO(3)xR3": (SO3xR3, "tln", 4),
     "exp order 4 (Suzuki), SO(3)xR3": (SO3xR3, "exp", 4),
+    "splitting (Blanes-Moan), SO(3)xR3": (SO3xR3, "splitting", 0),
     "RK4, SO(3)xR3": (SO3xR3, "rk4", 0),
+    "RK4 by hand, SO(3)xR3": (SO3xR3, "rk4 by hand", 0),
     "tln4, SE(3)": (SE3, "tln4", 2),
     "tln order 4 (Suzuki), SE(3)": (SE3, "tln", 4),
     "RK4, SE(3)": (SE3, "rk4", 0),
 }
-"""Name -> group, difference map and order of composition; or a reference method and 0."""
+"""Name -> group, difference map and order of composition; or an explicit method and 0."""
 CODES = ("interpreted", "machine code")
 GOALS = (("1e-3 rad", 1, 1e-3), ("1e-4 rad", 1, 1e-4), ("1e-3 m", 0, 1e-3))
+
+
+@dataclass(eq=False)
+class Hanging(Body):
+    """A body on a spring of no length, from the world's origin to its point `END` in body axes, m; with weight."""
+
+    END = np.array([0.3, -0.1, 0.5])
+
+    @cache  # noqa: B019 eight bodies live as long as the run; their expressions are built once
+    def vehicle(self, group: Any) -> Any:
+        inertia = ca.DM([*self.inertia, *[self.mass] * 3])
+        return Nonholonomic(
+            name="body", group=group, lagrangian=lambda r, u, xi: ca.dot(xi, inertia * xi) / 2,
+            potential_energy=lambda g, r: self._potential(SO3.matrix(g[:4]), g[4:7]),
+        )  # fmt: skip
+
+    def _potential(self, rotation: Any, position: Any) -> Any:
+        return STIFFNESS / 2 * ca.sumsqr(position + rotation @ self.END) + GRAVITY * self.mass * position[2]
+
+    def kick(self, q: Any, p: Any) -> Any:
+        """Body torque and force in the world (6,)."""
+        rotation = SO3.matrix(q)
+        pull = -STIFFNESS * (p + rotation @ self.END)
+        weight = ca.vertcat(0, 0, -GRAVITY * self.mass)
+        return ca.vertcat(ca.cross(ca.SX(self.END), rotation.T @ pull), pull + weight)
+
+    def energy(self, states: np.ndarray) -> np.ndarray:
+        rotations = Rotation.from_quat(states[:, [1, 2, 3, 0]])
+        stretch = states[:, 4:7] + rotations.apply(self.END)
+        potential = STIFFNESS / 2 * np.sum(stretch**2, axis=1) + GRAVITY * self.mass * states[:, 6]
+        return super().energy(states) + potential
+
+    def truth(self, times: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        def law(t: float, y: np.ndarray) -> np.ndarray:
+            q, p, w, v = y[:4], y[4:7], y[7:10], y[10:13]
+            rotation = Rotation.from_quat(q[[1, 2, 3, 0]])
+            pull = -STIFFNESS * (p + rotation.apply(self.END))
+            torque = np.cross(self.END, rotation.inv().apply(pull)) - np.cross(w, self.inertia * w)
+            spin = [-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))]
+            return np.array([*(0.5 * s for s in spin), *v, *torque / self.inertia, *pull / self.mass - [0, 0, GRAVITY]])
+
+        y0 = np.array([1.0, *[0.0] * 6, *self.twist])
+        y = solve_ivp(law, (0, times[-1]), y0, "DOP853", times, rtol=1e-12, atol=1e-12).y
+        return y[4:7].T, Rotation.from_quat(y[[1, 2, 3, 0]].T)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Bodies that move for ``seconds``, and the methods compared on them."""
+
+    title: str
+    bodies: Sequence[Body]
+    seconds: int
+    methods: Sequence[str]
 
 
 class Run:
     """One method on one body, interpreted or as machine code."""
 
-    def __init__(self, body: Body, name: str, compiled: bool):
+    def __init__(self, body: Body, name: str, compiled: bool, seconds: int):
         group, self.map, self.order = METHODS[name]
-        self.body, self.group, self.compiled = body, group, compiled
+        self.body, self.group, self.compiled, self.seconds = body, group, compiled, seconds
         self.vehicle = body.vehicle(group)
-        if not self.order:
+        self.by_hand = BY_HAND.get(self.map)
+        if self.by_hand:
+            kick = body.kick if isinstance(body, Hanging) else None
+            self.kernel = Kernel(self.by_hand(body.inertia.tolist(), body.mass, kick), compiled)
+        elif not self.order:
             self.kernel = Kernel(reference_step(self.vehicle, self.map), compiled)
 
     def __call__(self, rate: int) -> tuple[np.ndarray, float]:
         """States (n + 1, .) with the group element first and the body's momentum in columns 7 to 12; CPU seconds."""
-        steps, h, inertia = rate * SECONDS, 1 / rate, np.array([*self.body.inertia, *[self.body.mass] * 3])
+        steps, h, inertia = rate * self.seconds, 1 / rate, np.array([*self.body.inertia, *[self.body.mass] * 3])
         if self.order:
             integrator = Integrator(self.vehicle, h, self.map, self.order, compiled=self.compiled)
             start, controls = packed(integrator.start(State(twist=self.body.twist), ())), np.zeros((steps + 1, 0))
@@ -64,20 +131,20 @@ class Run:
             begin = time.process_time()
             return integrator.history(start, controls), time.process_time() - begin
         x = np.empty((steps + 1, 13))
-        x[0] = [*self.group.identity, *self.body.twist]
+        x[0] = [*self.group.identity, *(inertia if self.by_hand else 1.0) * self.body.twist]
         inputs = [x[:-1], *(np.broadcast_to(a, (steps, len(a))) for a in (np.array([h]), (), (), np.zeros(3)))]
         begin = time.process_time()
         self.kernel.rows(inputs, [x[1:]], carries=True)
         took = time.process_time() - begin
-        x[:, 7:] *= inertia
+        x[:, 7:] *= 1.0 if self.by_hand else inertia
         return x, took
 
 
-def measure(name: str, bodies: Sequence[Body]) -> Iterator[tuple[str, str, list[float]]]:
+def measure(name: str, problem: Problem) -> Iterator[tuple[str, str, list[float]]]:
     """(goal, kind of code, [step s, CPU ms, error, largest relative change of energy]), means over the bodies."""
-    seconds = np.arange(1, SECONDS + 1, dtype=float)
+    bodies, seconds = problem.bodies, np.arange(1, problem.seconds + 1, dtype=float)
     truths = [body.truth(seconds) for body in bodies]
-    runs = {compiled: [Run(body, name, compiled) for body in bodies] for compiled in (False, True)}
+    runs = {compiled: [Run(body, name, compiled, problem.seconds) for body in bodies] for compiled in (False, True)}
     curves = np.array([_curve(run, truth) for run, truth in zip(runs[True], truths, strict=True)])
     for goal, column, target in GOALS:
         for compiled in (False, True):
@@ -86,7 +153,9 @@ def measure(name: str, bodies: Sequence[Body]) -> Iterator[tuple[str, str, list[
                 rate = _rate_for(curve[:, column], target)
                 states, took = run(rate)
                 took = min(took, *(run(rate)[1] for _ in range(4)))
-                rows.append([1 / rate, took * 1e3, _errors(states, truth)[column], _energy(run, states)])
+                energy = run.body.energy(states)
+                change = float(np.abs(energy - energy[0]).max() / np.abs(energy).max())
+                rows.append([1 / rate, took * 1e3, _errors(states, truth)[column], change])
             yield goal, CODES[compiled], np.mean(rows, axis=0).tolist()
 
 
@@ -114,16 +183,20 @@ def _rate_for(errors: np.ndarray, target: float) -> int:
 
 def _errors(states: np.ndarray, truth: Any) -> tuple[float, float]:
     """Mean error of the position, m, and of the rotation, rad, at whole seconds."""
-    x = states[:: (len(states) - 1) // SECONDS][1:]
+    x = states[:: (len(states) - 1) // len(truth[0])][1:]
     if not np.all(np.isfinite(x)):
         return np.inf, np.inf
     apart = (truth[1].inv() * Rotation.from_quat(x[:, [1, 2, 3, 0]])).magnitude()
     return float(np.linalg.norm(x[:, 4:7] - truth[0], axis=1).mean()), float(apart.mean())
 
 
-def _energy(run: Run, states: np.ndarray) -> float:
-    energy = np.sum(states[:, 7:13] ** 2 / np.array([*run.body.inertia, *[run.body.mass] * 3]), axis=1)
-    return float(np.abs(energy / energy[0] - 1).max())
+def problems() -> list[Problem]:
+    free = random_bodies(COUNT)
+    hanging = [Hanging(body.inertia, body.mass, body.twist) for body in free]
+    return [
+        Problem("Free bodies", free, 60, tuple(METHODS)),
+        Problem("Bodies on a spring", hanging, 20, [name for name in METHODS if name != "tln4, SE(3)"]),
+    ]
 
 
 def main() -> None:
@@ -131,32 +204,31 @@ def main() -> None:
     unknown = [name for name in named if name not in METHODS]
     if unknown:
         raise SystemExit(f"no method {', '.join(unknown)}; choose from: {'; '.join(METHODS)}")
-    bodies, head = random_bodies(COUNT), heading()
-    table = {name: list(measure(name, bodies)) for name in named or METHODS}
-    lines = []
-    for goal, _, _ in GOALS:
-        lines += [f"## To a mean error of {goal}", ""]
-        lines += [
-            "| method | step | CPU, interpreted | CPU, machine code | error reached | energy off by |",
-            "|" + "---|" * 6,
-        ]
-        for name, rows in table.items():
-            plain, built = (row for at, _, row in rows if at == goal)
-            cells = [
-                f"{plain[0]:.3f} s",
-                f"{plain[1]:.2f} ms",
-                f"{built[1]:.2f} ms",
-                f"{plain[2]:.1e}",
-                f"{plain[3]:.0e}",
+    head, lines, summaries = heading(), [], []
+    for problem in problems():
+        table = {name: list(measure(name, problem)) for name in problem.methods if not named or name in named}
+        lines += [f"## {problem.title}", ""]
+        for goal, _, _ in GOALS:
+            lines += [
+                f"### To a mean error of {goal}",
+                "",
+                "| method | step | CPU, interpreted | CPU, machine code | error reached | energy off by |",
+                "|" + "---|" * 6,
             ]
-            lines.append("| " + " | ".join([name, *cells]) + " |")
-        lines.append("")
-    print("\n".join([*head, *lines]))
+            for name, rows in table.items():
+                plain, built = (row for at, _, row in rows if at == goal)
+                numbers = [f"{plain[0]:.3f} s", f"{plain[1]:.2f} ms", f"{built[1]:.2f} ms", f"{plain[2]:.1e}"]
+                lines.append("| " + " | ".join([name, *numbers, f"{plain[3]:.0e}"]) + " |")
+            lines.append("")
+        if not named:
+            summaries += summary(problem.title, table)
+    print("\n".join([*head, *summaries, "", *lines]))
     if not named:
-        top = ["# Free bodies: CPU time to a given error", "", *head, *summary(table), READING]
-        about = f"`make bench-order`. {COUNT} random free bodies for {SECONDS} s, up to a turn per second. {NOTE}"
+        heads = ["| bodies | goal | best implicit | splitting | RK4, SE(3), as in LIE | RK4, SO(3)xR3 | RK4 by hand |"]
+        heads.append("|" + "---|" * 7)
+        top = ["# Rigid bodies: CPU time to a given error", "", *head, *heads, *summaries, READING]
         path = Path(__file__).with_name("RESULTS.order.md")
-        path.write_text("\n".join([*top, about, "", *lines, DROPPED]), encoding="utf-8")
+        path.write_text("\n".join([*top, NOTE, "", *lines, DROPPED]), encoding="utf-8")
 
 
 NOTE = """The error is the mean over
@@ -181,18 +253,26 @@ DROPPED = """## Tried and dropped
 """
 
 
-def summary(table: dict[str, Any]) -> list[str]:
+def summary(title: str, table: dict[str, Any]) -> list[str]:
     """CPU time in ms, interpreted and as machine code, of ours and of RK4 in both coordinates."""
     goals = {goal: (goal,) for goal, _, _ in GOALS} | {"1e-3 rad and 1e-3 m": ("1e-3 rad", "1e-3 m")}
-    lines = ["| goal | best of ours | RK4, SE(3), as in LIE | RK4, SO(3)xR3 |", "|" + "---|" * 4]
+    splitting, *rivals = "splitting (Blanes-Moan), SO(3)xR3", "RK4, SE(3)", "RK4, SO(3)xR3", "RK4 by hand, SO(3)xR3"
+    lines = []
     for name, parts in goals.items():
         cost = {
             method: [max(row[1] for at, kind, row in rows if at in parts and kind == code) for code in CODES]
             for method, rows in table.items()
+            if all(
+                row[2] <= 1.01 * target
+                for at, _, row in rows
+                for goal, _, target in GOALS
+                if at == goal and at in parts
+            )
         }
-        best = min((method for method in cost if not method.startswith("RK4")), key=lambda method: cost[method][1])
-        cells = ["; ".join(f"{ms:.2f}" for ms in cost[m]) for m in (best, "RK4, SE(3)", "RK4, SO(3)xR3")]
-        lines.append(f"| {name} | {best}: {cells[0]} | {cells[1]} | {cells[2]} |")
+        implicit = [method for method in cost if method not in (splitting, *rivals)]
+        best = min(implicit, key=lambda method: cost[method][1])
+        cells = ["; ".join(f"{ms:.2f}" for ms in cost[m]) if m in cost else "-" for m in (best, splitting, *rivals)]
+        lines.append(f"| {title.lower()} | {name} | {best}: {' | '.join(cells)} |")
     return lines
 
 

@@ -63,18 +63,26 @@ class MarkConstraint(Block):
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         if self._given:
             return
-        mark, known = self.mark, self.marks[0] if self.closes else None
-        element = mark_element(transcription, mark, known)
+        # the values of the mark are parameters, so all layouts and plans share the element and its derivatives
+        key = "mark", self.mark.name, self.key(layout, transcription)
+        element = transcription.kept(key, lambda: self._element(transcription))
         if element is None:
             return
         knot = layout.mark_knots[self.number]
-        y, element.name = np.vstack([layout.knot(knot), layout.control(knot)]), mark.name
-        element.labels = [f"{mark.name}.{key}" for key in element.labels]
+        y = np.vstack([layout.knot(knot), layout.control(knot)])
         if self.price:
             y = np.vstack([y, problem.variables(2 * len(element.labels))[:, None]])
-            element = elastic(element, self.price)
         own = {key: size for key, size in element.sizes.items() if key != "wind"}
         problem.add(element, y, {key: problem.parameter(self._parameter(key), size) for key, size in own.items()})
+
+    def _element(self, transcription: Transcription) -> Element | None:
+        """Its constraints, named after the mark; None if it fixes nothing."""
+        element = mark_element(transcription, self.mark, self.marks[0] if self.closes else None)
+        if element is None:
+            return None
+        element.name = self.mark.name
+        element.labels = [f"{self.mark.name}.{key}" for key in element.labels]
+        return elastic(element, self.price) if self.price else element
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         return {self._parameter(key): value for key, value in mark_values(self.mark).items()}

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.constants import GRAVITY
+from vehsim.integrators.fast.kernel import Kernel
 from vehsim.lie.quaternions import from_yaw
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.vehicles.definition.mechanics import free_size, free_velocity, project
@@ -221,8 +222,10 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     grid[:, forces] = _grid(bounds[forces])
     joints = _joints(vehicle, random, 64)
     inverse_roots, fastest = [], 0.0
-    for r in joints:
-        inertia, moves = (np.array(value) for value in laws["inertia"](r))
+    inertias, motions = (
+        _matrices(value, len(joints)) for value in laws["inertia"].map(len(joints))(np.array(joints).T)
+    )
+    for inertia, moves in zip(inertias, motions, strict=True):
         values, vectors = np.linalg.eigh((inertia + inertia.T) / 2)
         if not len(values) or values.min() <= 1e-12 * values.max():
             return UNBOUNDED
@@ -231,10 +234,10 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
 
     n, here = len(inverse_roots[0]), _turned(vehicle, 0.0)
     still, calm = np.zeros(n), np.zeros(3)
-    most, force, columns = 0.0, laws["force"].map(len(grid)), ca.DM(grid.T)
+    most, force = 0.0, Kernel(laws["force"])
     for r, root in zip(joints, inverse_roots, strict=True):
-        pushes = np.array(force(here, r, still, columns, calm))
-        most = max(most, float(np.linalg.norm(root @ pushes, axis=0).max()))
+        pushes = _rows(force, here, r, still, grid, calm)
+        most = max(most, float(np.linalg.norm(pushes @ root, axis=1).max()))
 
     gains, losses = np.zeros(len(SPEEDS)), np.zeros(len(SPEEDS))
     picks = random.integers(0, len(joints), SAMPLES)
@@ -243,18 +246,31 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     rays = random.normal(size=(SAMPLES, n))
     rays[: 2 * n] = np.vstack([np.eye(n), -np.eye(n)])[: min(2 * n, SAMPLES)]
     rays /= np.linalg.norm(rays, axis=1)[:, None]
-    force, r = laws["force"].map(SAMPLES), np.array([joints[k] for k in picks]).T.reshape(-1, SAMPLES)
-    poses, shapes, columns = ca.DM(facing.T), ca.DM(r), ca.DM(controls.T)
-    rest = np.array(force(poses, shapes, ca.DM(n, SAMPLES), columns, calm))
+    shapes = np.array([joints[k] for k in picks])
+    rest = _rows(force, facing, shapes, still, controls, calm)
     velocities = np.array([inverse_roots[k] @ ray for k, ray in zip(picks, rays, strict=True)])
     for k, speed in enumerate(SPEEDS):
         q = max(speed, 1e-6) / fastest
-        change = np.array(force(poses, shapes, q * velocities.T, columns, np.array(wind))) - rest
-        power = (change * velocities.T).sum(axis=0)
+        change = _rows(force, facing, shapes, q * velocities, controls, np.array(wind)) - rest
+        power = (change * velocities).sum(axis=1)
         gains[k], losses[k] = max(0.0, float(power.max())), max(0.0, float(-power.min()))
     gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + GRAVITY * slope
     loss = gain + np.maximum.accumulate(losses) * fastest * SAMPLING_FACTOR
     return Push(gain, loss)
+
+
+def _matrices(side_by_side: Any, count: int) -> Array:
+    """Matrices (m, k) side by side, as (count, m, k)."""
+    values = np.asarray(side_by_side)
+    return values.reshape(len(values), count, -1).transpose(1, 0, 2)
+
+
+def _rows(kernel: Kernel, *inputs: Array) -> Array:
+    """The column of a function for every row (n, .) of its inputs; a single row (.,) is the same for all."""
+    n = max(len(a) for a in inputs if a.ndim == 2)
+    out = np.empty((n, kernel.function.numel_out(0)))
+    kernel.rows([np.broadcast_to(a, (n, a.shape[-1])) for a in inputs], [out])
+    return out
 
 
 def _other_energy(vehicle: Vehicle) -> bool:

@@ -92,7 +92,7 @@ def from_poses(
     ``c``: controls (c,), or (knots, c); ``joints`` (knots, s): by default values that fit the motion.
     """
     vehicle, group, m = transcription.vehicle, transcription.vehicle.group, transcription.mechanics
-    _, s, n, _ = transcription.sizes
+    s = transcription.sizes[1]
     body = positions + np.einsum("nij,j->ni", SO3.matrix(quaternions), vehicle.origin)
     g = group.from_pose(np.hstack([body, quaternions]))
     if group.planar:
@@ -105,11 +105,9 @@ def from_poses(
         r, u = _joints(vehicle, xi, h) if s else (np.zeros((layout.knots, 0)), np.zeros((layout.segments, 0)))
     at_knots = np.broadcast_to(c, (layout.knots, len(transcription.control_scale)))
     x = np.zeros(layout.size)
-    momenta, velocities = np.zeros((layout.knots, n)), np.zeros((layout.segments, n))
-    for k in range(layout.segments):
-        pi = np.ravel(np.asarray(m.knot_momentum(r[k], u[k], xi[k])))
-        momenta[k], velocities[k] = pi, np.ravel(np.asarray(m.knot_velocity_guess(r[k], pi, at_knots[k])))
-    momenta[-1] = momenta[-2]
+    pi = np.asarray(m.knot_momentum.map(len(u))(r[:-1].T, u.T, xi.T))
+    velocities = np.asarray(m.knot_velocity_guess.map(len(u))(r[:-1].T, pi, at_knots[:-1].T)).T
+    momenta = np.vstack([pi.T, pi[:, -1:].T])
     x[layout.knot(np.arange(layout.knots))] = np.hstack([g, r, momenta / transcription.momentum_scale]).T
     x[layout.velocity(np.arange(layout.segments))] = velocities.T
     x[layout.control(np.arange(layout.knots))] = (at_knots / transcription.control_scale).T
@@ -212,8 +210,9 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
     r = np.zeros((len(xi) + 1, s))
     for joint, (low, high) in vehicle.joint_limits.items():
         place, values = vehicle.joints.index(joint), np.linspace(max(low, -2.0), min(high, 2.0), 81)
-        rays = [np.array(moves(np.eye(s)[place] * value)) for value in values]
-        missed = np.array([((xi - xi @ np.linalg.pinv(M).T @ M.T) ** 2).sum(axis=1) for M in rays])
+        rays = _matrices(moves, np.eye(s)[place] * values[:, None])
+        onto = rays @ np.linalg.pinv(rays)
+        missed = ((xi - xi @ onto.transpose(0, 2, 1)) ** 2).sum(axis=2)
         missed += 1e-6 * (values[:, None] ** 2) * (xi**2).sum(axis=1)
         chosen = values[np.argmin(missed, axis=0)]
         # at rest any value is valid: use the next one that matters
@@ -222,10 +221,16 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
         kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
         r[:-1, place] = np.convolve(np.pad(chosen, 2, mode="edge"), kernel, mode="valid")
         r[-1, place] = r[-2, place]
-    u = np.array([np.linalg.pinv(np.array(moves(row))) @ v for row, v in zip(r[:-1], xi, strict=True)])[:, b:]
+    u = (np.linalg.pinv(_matrices(moves, r[:-1])) @ xi[:, :, None])[:, b:, 0]
     for place, joint in enumerate(vehicle.joints):
         if joint in vehicle.joint_limits:
             u[:, place] = np.diff(r[:, place]) / h
         else:
             r[1:, place] = np.cumsum(u[:, place] * h)
     return r, u
+
+
+def _matrices(function: ca.Function, rows: Array) -> Array:
+    """The matrix (m, k) that a function of a column gives for each row (n, .), as (n, m, k)."""
+    m, k = function.size_out(0)
+    return np.asarray(function.map(len(rows))(rows.T)).reshape(m, len(rows), k).transpose(1, 0, 2)

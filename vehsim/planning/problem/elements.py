@@ -296,7 +296,9 @@ class NonlinearProgram:
     def functions(self) -> dict[str, ca.Function]:
         """The functions ``nlp, grad_f, jac_g, hess_lag`` that CasADi's NLP solvers require."""
         x, p = ca.MX.sym("x", self.size), ca.MX.sym("p", self.parameters)
-        local = [[use.local(x, p, order) for use in self.uses] for order in range(3)]
+        plain = [use.local(x, p, 0) for use in self.uses]
+        models = [[use.local(x, p, order) if use.element.space else None for use in self.uses] for order in (1, 2)]
+        local = [plain, *([own or at for own, at in zip(row, plain, strict=True)] for row in models)]
         f, g = self._values(local[0])
         names = (["x", "p"], ["f", "g"])
         return {

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ from vehsim.vehicles import Vehicle
 from vehsim.world.ground.slope import Weight
 
 Array = NDArray[np.float64]
+Made = TypeVar("Made", Element, Element | None)
 
 
 class Transcription:
@@ -34,7 +35,7 @@ class Transcription:
         self.sizes = self.mechanics.sizes
         self.control_scale = np.array([c.scale for c in vehicle.controls])
         self.momentum_scale = self._mass()
-        self._elements: dict[Hashable, Element] = {}
+        self._elements: dict[Hashable, Any] = {}
 
     def _mass(self) -> Array:
         m = self.mechanics
@@ -117,11 +118,12 @@ class Transcription:
             "segment", [*inputs, cell], [step.segment[name] for name in results], [*names, "cell"], list(results)
         )
 
-    def kept(self, key: Hashable, make: Callable[[], Element]) -> Element:
+    def kept(self, key: Hashable, make: Callable[[], Made]) -> Made:
         """The element stored under ``key``, or the one that ``make`` builds; it is differentiated only once."""
         if key not in self._elements:
             self._elements[key] = make()
-        return self._elements[key]
+        made: Made = self._elements[key]
+        return made
 
 
 @lru_cache(maxsize=32)
