@@ -95,17 +95,18 @@ def test_order_with_controls_linear_between_knots(name, difference_map, order, c
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.4), errors
 
 
-def test_work_and_energy_balance_to_second_order():
+@pytest.mark.parametrize("order", [2, 4])
+def test_work_and_energy_balance_to_the_order_of_the_step(order):
     vehicle, start, law = CASES["helicopter"]
     wind, defects = (2.0, 1.0, 0.0), []
     for count in (40, 80):
         t = np.linspace(0, 2, count + 1)
-        energy = Integrator(vehicle, 2 / count, wind=wind).rollout(start, law(t)).energy
+        energy = Integrator(vehicle, 2 / count, order=order, wind=wind).rollout(start, law(t)).energy
         balance = energy["kinetic"] + energy["potential"] - energy["work"] + energy["dissipated"]
         defects.append(np.abs(balance - balance[0]).max())
         assert np.all(np.diff(energy["dissipated"]) > 0)
     assert defects[0] < 1e-3 * np.ptp(energy["kinetic"])
-    assert np.log2(defects[0] / defects[1]) == pytest.approx(2, abs=0.4)
+    assert np.log2(defects[0] / defects[1]) == pytest.approx(order, abs=0.4)
 
 
 @pytest.mark.parametrize("name", ["helicopter", "car"])

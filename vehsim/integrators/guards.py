@@ -81,7 +81,9 @@ def check_mass(mechanics: DiscreteMechanics, r: Array, compiled: bool = False) -
         )
 
 
-def warn_of_stiff_damping(mechanics: DiscreteMechanics, phases: Array, controls: Array, step: float, wind: Any) -> None:
+def warn_of_stiff_damping(
+    mechanics: DiscreteMechanics, phases: Array, controls: Array, step: float, wind: Any, stacklevel: int = 3
+) -> None:
     """Warn if a velocity decays, at the first or the last of the phases (n, .), so fast that its sign alternates from
     step to step: the factor of a step, ``(2 - rate h) / (2 + rate h)``, is negative."""
     decay = _decay(mechanics)
@@ -95,7 +97,7 @@ def warn_of_stiff_damping(mechanics: DiscreteMechanics, phases: Array, controls:
             warnings.warn(
                 f"{mechanics.vehicle.name}: damping of {rate:.3g}/s is too fast for steps of {step:.3g} s, so a "
                 f"velocity alternates instead of decaying; take steps below {1.9 / rate:.2g} s, or less damping",
-                stacklevel=3,
+                stacklevel=stacklevel,
             )
             return
 

@@ -29,7 +29,12 @@ class Integrator(PhaseIntegrator):
     axes; ``quadrature`` of the forces. Momentum is carried at the knots, so velocities are those *at* the knot.
     ``compiled``: as machine code, five to ten times as fast, built once by the system's C compiler and kept in
     the cache; without a compiler there is a warning, and ``compiled`` stays False.
+
+    Damping too fast for the step is warned about: by clips at both their ends, by steppers, fleets and the first
+    ``step`` of an integrator at their start.
     """
+
+    _stepped = False
 
     @cached_property
     def _public(self) -> PublicStep:
@@ -41,6 +46,9 @@ class Integrator(PhaseIntegrator):
         ``wrench``: an external body wrench (d,) about the body frame's origin, or a function of the state that returns
         one; half of its impulse acts at either end, the second half at the predicted state.
         """
+        if not self._stepped:
+            self._stepped = True
+            self._warn_of_stiff_damping(state, controls)
         if wrench is None and not self.guarded:
             after = self._public(state, controls, controls if next_controls is None else next_controls)
             if after is not None:
@@ -59,12 +67,23 @@ class Integrator(PhaseIntegrator):
     def stepper(self, state: State, controls: Any = None) -> Stepper:
         """A vehicle to be stepped in place from a state: the fast way from Python."""
         c = np.zeros(len(self.vehicle.controls)) if controls is None else controls
-        return Stepper(self, state, c)
+        stepper = Stepper(self, state, c)
+        self._warn_of_stiff_damping(state, c)
+        return stepper
 
     def fleet(self, states: Sequence[State], controls: Any = None, threads: int = 1) -> Fleet:
         """Many vehicles in motion from ``states`` (m,), with ``controls`` (m, c) or (c,) at the start."""
         c = np.zeros(len(self.vehicle.controls)) if controls is None else controls
-        return Fleet(self, states, c, threads)
+        fleet = Fleet(self, states, c, threads)
+        if len(fleet.x):
+            warn_of_stiff_damping(self.mechanics, fleet.x[:1], fleet.controls[:1], self.step_size, self.wind)
+        return fleet
+
+    def _warn_of_stiff_damping(self, state: State, controls: Any) -> None:
+        """Warn, at the caller of the public method, if damping at a start is too fast for the step."""
+        c = control_vector(self.vehicle, controls)
+        phases = packed(self.start(state, c))[None]
+        warn_of_stiff_damping(self.mechanics, phases, c[None], self.step_size, self.wind, stacklevel=4)
 
     def _kick(self, phase: Phase, wrench: Any, state: State) -> None:
         body = np.asarray(wrench(state) if callable(wrench) else wrench, float)
@@ -101,7 +120,7 @@ class Integrator(PhaseIntegrator):
         knots = control_table(self.vehicle, given, (len(states), given.shape[-2] if given.ndim > 1 else 0))
         if self.guarded:  # each may need its own choice of columns
             return [self.rollout(s, c, fps=fps, start_frame=start_frame) for s, c in zip(states, knots, strict=True)]
-        fleet = self.fleet(states, knots[:, 0], threads)
+        fleet = Fleet(self, states, knots[:, 0], threads)
         phases = fleet.advance(knots[:, 1:])
         if len(phases):
             warn_of_stiff_damping(self.mechanics, phases[0], knots[0], self.step_size, self.wind)
