@@ -60,8 +60,7 @@ DROPPED = """
 
 - acados: it does not install from PyPI.
 - The first solve at order 4, or on 16 segments: see `RESULTS.planning.md`.
-- fatrop for our problems: its structure needs variables stage by stage with an explicit next state, which DMOC's rows of
-  either end are not.""".splitlines()
+- fatrop on the problems of `vehsim.plan`, without a structure by stages: no faster than IPOPT.""".splitlines()
 
 
 def quadrotor() -> Vehicle:
