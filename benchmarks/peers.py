@@ -14,7 +14,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -246,7 +246,7 @@ def ours(problem: Problem) -> Result:
 
 def ours_once(problem: Problem) -> Result:
     """One solve at order 4 on the given segments."""
-    transcription = Transcription(problem.vehicle)
+    transcription = Transcription(replace(problem.vehicle))  # a copy, for which nothing is built yet
 
     def solve() -> Any:
         return solve_once(transcription, problem.marks, problem.segments, 4, fps=FPS, cost=problem.cost)
