@@ -248,7 +248,9 @@ does. *RK4, SE(3)* and *RK4, SO(3)xR3* integrate the general equations of motion
 *RK4 by hand* is written for such a body alone, as the splitting is. `tln4` and `tln6` keep the energy of free bodies to
 round-off; with forces they are of second order. The splitting needs an inertia without coupling of rotation and
 translation, and forces that depend on pose and time only: drag would need kicks of its own. It is a prototype, not an
-integrator of vehsim.
+integrator of vehsim. Free bodies: it takes a quarter of the time of RK4 to 1e-3 rad, interpreted, and as machine code
+1.3 (by hand) to 2 times less. On a spring: interpreted 1.6 to 3 times less; as machine code 1.3 times less than the
+general RK4, but 1.2 to 1.3 times more than RK4 by hand.
 """
 DROPPED = """## Tried and dropped
 

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from vehsim.cameras.path import envelope, smooth
 from vehsim.clip.interpolant import monotone
-from vehsim.integrators.record import _integrals
+from vehsim.integrators.record import _integrals, _rule
 
 ALONE = """
 import sys, vehsim
@@ -59,5 +59,5 @@ def test_integrals_of_polynomials_are_exact(count):
     laws = [np.poly1d(rng.normal(size=min(6, count))) for _ in range(2)]
     rates = np.column_stack([law(times) for law in laws])
     wanted = np.column_stack([law.integ()(times) - law.integ()(times[0]) for law in laws])
-    integrals = np.vstack([np.zeros(2), np.cumsum(_integrals(times, rates), axis=0)])
+    integrals = np.vstack([np.zeros(2), np.cumsum(_integrals(_rule(times), rates[:, None])[:, 0], axis=0)])
     assert np.abs(integrals - wanted).max() < 1e-10 * (1 + np.abs(wanted).max())

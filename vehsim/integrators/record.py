@@ -67,10 +67,11 @@ def build_clips(
     count = 2 + len(rates) + len(drives)
     widths = [3, 4, d, s, s, 2, count, len(vehicle.channels) - len(rates), (1 + len(drives)) * controls.shape[2]]
     powers, gradients = (np.split(rows, np.cumsum(widths[:-1]), axis=2)[k].transpose(1, 0, 2) for k in (6, 8))
-    parts = _integrals(times, powers)
+    rule = _rule(times)
+    parts = _integrals(rule, powers)
     by_controls = [0, *range(count - len(drives), count)]
     parts[:, :, by_controls] += _corrections(
-        times, gradients.reshape(n, m, len(by_controls), -1), controls.transpose(1, 0, 2)
+        rule, times, gradients.reshape(n, m, len(by_controls), -1), controls.transpose(1, 0, 2)
     )
     # power that grows with the controls' rate jumps at the knots, where their slope does: integrate it by segments
     slopes = np.diff(controls[:, :, drives], axis=1).transpose(1, 0, 2) / np.diff(times)[:, None, None]
@@ -133,14 +134,19 @@ def _record(mechanics: DiscreteMechanics) -> ca.Function:
     return ca.Function("record", [ca.vertcat(g, r, pi, y["z"]), t, c, wind], ca.cse([ca.densify(row)]))
 
 
-def _integrals(times: Array, rates: Array) -> Array:
-    """Integrals (n - 1, ...) from knot to knot of rates at knots (n, ...), by the polynomials through every six
-    neighbours."""
-    near, weights = _rule(times)
-    return np.einsum("kj,kj...->k...", weights, rates[near])
+Rule = tuple[NDArray[np.intp], Array]
+"""Six neighbours (n - 1, 6) of every interval, and their weights in the integral over it, s."""
 
 
-def _corrections(times: Array, gradients: Array, controls: Array) -> Array:
+def _integrals(rule: Rule, rates: Array) -> Array:
+    """Integrals (n - 1, m, k) from knot to knot of rates at knots (n, m, k)."""
+    total = np.zeros((len(rule[0]), *rates.shape[1:]))
+    for near, weights in zip(*(part.T for part in rule), strict=True):
+        total += weights[:, None, None] * rates[near]
+    return total
+
+
+def _corrections(rule: Rule, times: Array, gradients: Array, controls: Array) -> Array:
     """What `_integrals` of powers with ``gradients`` (n, m, p, c) lacks, (n - 1, m, p), because ``controls`` (n, m, c)
     are linear between knots.
 
@@ -148,15 +154,15 @@ def _corrections(times: Array, gradients: Array, controls: Array) -> Array:
     """
     slopes = np.diff(controls, axis=0) / np.diff(times)[:, None, None]
     total = np.zeros((len(slopes), *gradients.shape[1:3]))
-    for near, weights in zip(*(part.T for part in _rule(times)), strict=True):
+    for near, weights in zip(*(part.T for part in rule), strict=True):
         away = (times[near] - times[:-1])[:, None, None]
         bent = controls[:-1] + away * slopes - controls[near]
         total += weights[:, None, None] * np.einsum("kmpc,kmc->kmp", gradients[near], bent)
     return total
 
 
-def _rule(times: Array) -> tuple[NDArray[np.intp], Array]:
-    """Six neighbours (n - 1, 6) of every interval, and their weights in the integral over it, s."""
+def _rule(times: Array) -> Rule:
+    """The integrals of the polynomials through every six neighbours."""
     count = min(6, len(times))
     first = np.clip(np.arange(len(times) - 1) - 2, 0, len(times) - count)[:, None]
     near, h = first + np.arange(count), np.diff(times)[:, None]
