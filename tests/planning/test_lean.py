@@ -113,6 +113,18 @@ def test_a_helicopter_flies_straight_although_its_torque_changes_with_speed(seco
     assert np.degrees(np.abs(yaw_of(free.orientations))).max() > 2 * swing
 
 
+def test_a_flight_that_begins_in_motion_does_not_begin_in_a_spin():
+    """Damping stops a spin without effort. A limit of the user replaces that of the start: it then begins faster."""
+    heli, ends = helicopter("leaning"), ((1, (0, 0, 10), (12, 0, 0)), (49, (26, 6, 12), (12, 5, 0)))
+    marks = [Mark(frame, position=place, velocity=speed) for frame, place, speed in ends]
+    most = heli.character.limits["turn_rate"].brisk
+    starts = [
+        np.linalg.norm(vehsim.plan(heli, None, marks, character="stunt", limits=limits).clip.twists[0, :3])
+        for limits in ({}, {"turn_rate": 2.0})
+    ]
+    assert starts[0] < most + 1e-5 < 1.5 < starts[1] < 2.0 + 1e-5
+
+
 def slot():
     walls = [box(f"wall{s}", (0, s * 36.5, 0), (6, 60, 120)) for s in (1, -1)]
     return vehsim.World(obstacles=walls)

@@ -70,7 +70,7 @@ def test_a_gap_that_is_too_narrow_is_reported(helicopter, world):
         Mark("free", position=(105, 0, 12), velocity=REST),
     ]
     with pytest.raises(SolveError, match="no path from"):
-        vehsim.plan(helicopter, world, marks, segments=16, clearance=12.0, limits={"ceiling": 20.0})
+        vehsim.plan(helicopter, world, marks, segments=16, clearance=11.9, limits={"ceiling": 20.0})
 
 
 def test_the_safety_cost_increases_the_distance(helicopter, world):

@@ -80,9 +80,10 @@ class Request:
 
     @property
     def constraints(self) -> list[Constraint]:
-        """The limits, the user's constraints, and the descent speeds of landings."""
+        """The limits, the user's constraints, the turning of a start in motion, and the descent speeds of landings."""
         own = (term for term in self.terms if isinstance(term, Constraint))
-        return [*self.limits.constraints(), *own, *map(descent, landings(self.marks))]
+        starts = () if self.loop or "turn_rate" in self.limits.values else starting(self.vehicle, self.marks[0])
+        return [*self.limits.constraints(), *own, *starts, *map(descent, landings(self.marks))]
 
     def aimed(self, mark: Mark) -> bool:
         """Whether a constraint sets the heading at this mark."""
@@ -120,6 +121,24 @@ class Request:
         """Whether the vehicle flies and there is terrain or an obstacle to hit."""
         about = self.world is not None and (self.world.terrain is not None or self.world.obstacles)
         return bool(about) and self.vehicle.group.dim == 6
+
+
+def starting(vehicle: Vehicle, mark: Mark) -> list[Constraint]:
+    """Where a flight begins with a given speed, it turns no faster than the character `brisk`.
+
+    How it came there is free. With least effort alone it would spin, because damping stops that without effort;
+    backwards in time, through the handles of a shot, the spin would grow.
+    """
+    trait = vehicle.character.limits.get("turn_rate")
+    moves = not mark.at_rest and (mark.velocity is not None or mark.speed)
+    if vehicle.group.dim != 6 or trait is None or not moves or mark.given_frame is None:
+        return []
+    value, at = trait.of("brisk"), mark.given_frame
+    made = Limits({"turn_rate": value}).constraints()
+    return [
+        replace(limit, name=f"{mark.name} (turn rate)", over="knots", frames=(at, at), identity=("starting", value))
+        for limit in made
+    ]
 
 
 def _on_surface(limits: Limits, vehicle: Vehicle) -> Limits:

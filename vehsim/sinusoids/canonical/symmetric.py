@@ -57,14 +57,14 @@ class SymmetricClosure:
 def symmetric_closure(
     vehicle: Vehicle, at: State | None = None, controls: Sequence[float] | None = None, order: int = 3
 ) -> SymmetricClosure:
-    """Symmetric products of ``vehicle`` at the state ``at`` (default: upright at the origin), at rest and in balance.
+    """Symmetric products of ``vehicle`` at the state ``at`` (default: at the origin), at rest and in balance.
 
     ``controls`` that balance it; default: the trim. Products of up to ``order`` vectors. The Y are the accelerations by
     small changes of the controls, so controls need not enter linearly. Raises ``InputError`` if the controls do not
     balance the vehicle, or if all of them are rates.
     """
     from vehsim.integrators.continuous import equations_of_motion
-    from vehsim.planning.trim import trim
+    from vehsim.planning.trim import trim, upright
     from vehsim.vehicles.definition.states import internal
 
     if not vehicle.controls:
@@ -75,8 +75,9 @@ def symmetric_closure(
             "use the brackets of its driftless system, algebra.classify(rigged(vehicle).system)",
             subject=vehicle.name,
         )
+    at = State(orientation=upright(vehicle, [0.0])[0]) if at is None else at
     law = equations_of_motion(vehicle)
-    g0, r0, _, _ = internal(vehicle, at or State())
+    g0, r0, _, _ = internal(vehicle, at)
     c0 = np.asarray(trim(vehicle, (0.0, 0.0, 0.0)) if controls is None else controls, float)
     sizes = [law.size1_in(i) for i in range(3)]
     symbols = [ca.SX.sym(name, size) for name, size in zip("grz", sizes, strict=True)]
@@ -114,7 +115,7 @@ def symmetric_closure(
         found += new
         labels += [label for _, label, _ in new]
         ranks.append(rank_of(np.array(values).T))
-    linear = _kalman(*vehicle.linearize(at or State(), c0))
+    linear = _kalman(*vehicle.linearize(at, c0))
     allowed = ca.jacobian(ca.vertcat(*law(*symbols, c, 0, 0)[:2]), ca.vertcat(symbols[2], c))
     unreached = _unreached(vehicle, ca.vertcat(*symbols[:2]), allowed, start[: sum(sizes[:2])])
     return SymmetricClosure(sizes[2], tuple(ranks), tuple(labels), tuple(bad), linear, unreached)
