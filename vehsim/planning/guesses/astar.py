@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import SolveError
 from vehsim.planning.outlines import gaps_to, inner_discs
-from vehsim.vehicles import Vehicle
+from vehsim.vehicles import Nonholonomic, Vehicle
 from vehsim.world.obstacles.obstacles import footprint
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def guess_drive(
     ``headings``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow gaps more expensive.
     ``met``: outlines (n, k, 2) to avoid if possible. Raises ``SolveError`` if there is no path.
     """
-    radius = turning_radius(vehicle)
+    radius = _guessed_radius(vehicle)
     bearing = float(np.arctan2(*(ends[1] - ends[0])[[1, 0]]))
     nose = [bearing if heading is None else heading for heading in headings]
     # the search moves the body frame's origin (a car's rear axle) if there is a turning circle, otherwise the root
@@ -93,6 +93,15 @@ def turning_radius(vehicle: Vehicle) -> float:
         turn, ahead = np.abs(velocities[:2]).max(axis=1)
         best = min(best, ahead / turn if turn > 1e-9 else math.inf)
     return best
+
+
+def _guessed_radius(vehicle: Vehicle) -> float:
+    """Radius of the arcs of a guess, m: of the smallest circle, or the length of a vehicle without constraints.
+
+    Such a vehicle, like a boat, turns on the spot only while it stands.
+    """
+    own = turning_radius(vehicle)
+    return own if isinstance(vehicle, Nonholonomic) else max(own, float(np.ptp(footprint(vehicle)[:, 0])))
 
 
 class _Ground:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vehsim.planning.explain.bounds import strength
 from vehsim.planning.guesses.astar import turning_radius
+from vehsim.planning.guesses.pacing import changes_of_gear
 from vehsim.planning.request.legs import path_length
 from vehsim.planning.request.request import Request
 from vehsim.vehicles import Vehicle
@@ -29,11 +30,14 @@ line."""
 def cruising(request: Request, paths: Sequence[Array]) -> Array:
     """Durations (m,) of legs along ``paths`` at moderate acceleration, with time to start and to stop, s.
 
+    A change of direction is a stop and a start.
+
     A motion from rest to rest over ``d`` m in ``t`` s needs ``6 d / t^2`` m/s^2: half the vehicle's strength on long
     legs.
     """
     marks, lengths = request.marks, np.array([path_length(path) for path in paths])
     rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
+    rests += [2 * changes_of_gear(path)[-1] for path in paths]
     push = strength(request.vehicle)
     speeds = np.sqrt(lengths * push / 12) if math.isfinite(push) else np.zeros(len(paths))
     return lengths / np.minimum(np.maximum(speeds, CRUISE), SHARE * request.top_speed) + STARTING * rests + EACH

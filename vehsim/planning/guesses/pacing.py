@@ -17,6 +17,8 @@ STEPS, FINER = 32, 9
 """Steps of time on a leg, and cells of the path for each."""
 FASTEST, HARDEST = 27, 6
 """Largest speed, cells per step, and its largest change from one step to the next."""
+STANDS = 1e-3
+"""A step shorter than this share of the longest is a standstill."""
 MEETING = 100.0
 """Price of each second too near an obstacle, or of a change of direction without a stop, m^2/s^3: more than any
 acceleration that it could save."""
@@ -42,7 +44,7 @@ def smoothest(taken: NDArray[np.bool_], poses: Array, seconds: float, rests: tup
     speeds = np.arange(FASTEST + 1)
     changes = (unit * (speeds[:, None] - speeds)) ** 2 * dt  # from a speed (column) to the next (row)
     changes[np.abs(speeds[:, None] - speeds) > HARDEST] = math.inf
-    turned = _gear_changes(poses)
+    turned = changes_of_gear(poses)
     cost = np.full((cells + 1, FASTEST + 1), math.inf)
     cost[0, : 1 if rests[0] else None] = 0.0
     came = np.zeros((steps, cells + 1, FASTEST + 1), np.int8)
@@ -74,8 +76,13 @@ def _travelled(path: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
 
 
-def _gear_changes(poses: Array) -> NDArray[np.int64]:
-    """How often the vehicle has changed its direction until each pose (n,)."""
+def changes_of_gear(poses: Array) -> NDArray[np.int64]:
+    """How often the vehicle has changed its direction until each point (n,) of a path of poses (n, 4 or more); never
+    without headings (n, 3)."""
+    if poses.shape[1] < 4 or len(poses) < 2:
+        return np.zeros(len(poses), np.int64)
     step = np.gradient(poses[:, :2], axis=0)
-    gear = np.sign(step[:, 0] * np.cos(poses[:, 3]) + step[:, 1] * np.sin(poses[:, 3]))
-    return np.concatenate([[0], np.cumsum(np.diff(gear) != 0)])
+    ahead = step[:, 0] * np.cos(poses[:, 3]) + step[:, 1] * np.sin(poses[:, 3])
+    gear = np.sign(ahead) * (np.abs(ahead) > STANDS * np.abs(ahead).max())
+    gear = gear[np.maximum.accumulate(np.where(gear != 0, np.arange(len(gear)), 0))]  # where it stands, as before
+    return np.concatenate([[0], np.cumsum((np.diff(gear) != 0) & (gear[:-1] != 0))])
