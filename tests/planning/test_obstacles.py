@@ -414,6 +414,16 @@ def test_guesses_drive_no_tighter_than_the_car_can(car):
     assert np.median(turn / np.maximum(way, 1e-9)) < 1 / turning_radius(car) + 1e-3
 
 
+def test_a_boat_is_guessed_to_turn_in_arcs_of_its_length():
+    boat = vehsim.load_vehicle("boat")
+    parts = [(ob.box("jetty", (20.0, 4.5, 0), (16, 2.4, 1.5)), 0)]
+    path = guess_drive(boat, parts, np.array([(0.0, 0, 0), (20.0, 0, 0)]), (np.pi / 2, np.pi), 0.5)
+    way, turn = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1), np.abs(np.diff(path[:, 3]))
+    assert [path[0, 3], path[-1, 3] % (2 * np.pi)] == pytest.approx([np.pi / 2, np.pi])
+    assert turn.max() < np.radians(20)  # it does not turn on the spot
+    assert np.percentile(turn / way, 80) < 1.1 / np.ptp(ob.footprint(boat)[:, 0])
+
+
 def test_worlds_of_the_same_shapes_share_a_problem(car):
     """The positions of parts are parameters: the same rows serve another world."""
     boxes = [ob.box("b", (x, 3, 0), (1, 1, 1)) for x in (10.0, 11.0)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vehsim.planning.guesses.pacing import FINER, MEETING, STEPS, paced, smoothest, stations
+from vehsim.planning.guesses.pacing import FINER, MEETING, STEPS, changes_of_gear, paced, smoothest, stations
 
 LENGTH, SECONDS = 24.0, 12.0
 
@@ -61,3 +61,11 @@ def test_a_paced_path_holds_the_pose_at_every_step():
     path = paced(poses, np.arange(0, STEPS * FINER + 1, FINER))
     assert path.shape == (STEPS + 1, 5)
     assert path[:, 0] == pytest.approx(LENGTH * path[:, 4])
+
+
+def test_changes_of_direction_are_counted_where_the_vehicle_moves():
+    x = np.array([0.0, 0.0, 1.0, 2.0, 3.0, 3.0, 3.0, 2.0, 1.0, 1.0, 2.0, 2.0])
+    poses = np.column_stack([x, np.zeros((len(x), 3))])
+    assert changes_of_gear(poses)[-1] == 2 and changes_of_gear(poses[:5])[-1] == 0
+    assert changes_of_gear(np.add(poses, [0, 0, 0, np.pi]))[-1] == 2  # tail first, then the same
+    assert not changes_of_gear(poses[:, :3]).any() and not changes_of_gear(poses[:1]).any()
