@@ -203,6 +203,12 @@ def test_a_car_is_driven_with_keys_held_down(tmp_path):
     assert max(torque) == 2500 and torque[0] == 0  # the car's bound
 
 
+async def _some_frames_later(page):
+    """Wait until what the sticks say has been simulated."""
+    frame = "parseInt(document.getElementById('status').textContent.split('frame ')[1])"
+    await page.until(f"{frame} > {await page.value(frame)} + 5")
+
+
 def test_a_car_is_driven_with_a_gamepad(tmp_path):
     """The browser's report of a gamepad is replaced, since none is there: forward is negative, and left too."""
     path = written(tmp_path, SHOT.replace("schema = 1", "schema = 1\nend_frame = 1300", 1))
@@ -214,12 +220,10 @@ def test_a_car_is_driven_with_a_gamepad(tmp_path):
             await page.value(pad % (0, -0.8))
             await page.value("document.getElementById('do-drive').click()")
             await page.until("vehsim.drive.values[0] === 0.8 && Boolean(vehsim.viewer.trail)")
+            await _some_frames_later(page)
             await page.value(pad % (-0.25, 0.03))  # the middle of a worn stick is not zero
             await page.until("vehsim.drive.values[0] === 0 && vehsim.drive.values[1] === 0.25")
-            frame = await page.value("parseInt(document.getElementById('status').textContent.split('frame ')[1])")
-            await page.until(
-                f"parseInt(document.getElementById('status').textContent.split('frame ')[1]) > {frame + 5}"
-            )
+            await _some_frames_later(page)
             await page.key("Escape", "Escape")
             await page.until(f"!vehsim.drive.driven && {SOLVED}")
 
