@@ -39,11 +39,12 @@ FPS = 24
 HEAD = """# Unseen problems, measured
 
 `python -m benchmarks.unseen` plans problems that a seed makes: helicopters above random hills and through
-gaps, wheels among random obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind.
-*Certified* counts the plans that succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain
-included. Of the others, *no path* counts those where a sampling planner of OMPL finds none in {patience:g} s,
-and *frame helps* those whose message names a later frame with which the same problem is certified. {finished} of the
-{all} problems of a whole run are finished; they were run in turn, at the same pace in each family.
+gaps, wheels among random obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind. The
+character is the default; what takes too little time for it is driven in a harder one. *Certified* counts the plans that
+succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain included. Of the others, *no path*
+counts those where a sampling planner of OMPL finds none in {patience:g} s, and *frame helps* those whose message names
+a later frame with which the same problem is certified. {finished} of the {all} problems of a whole run are finished;
+they were run in turn, at the same pace in each family.
 
 | family | problems | certified | no path | frame helps | CPU, median s | 90 % | slowest |
 |---|---|---|---|---|---|---|---|
@@ -60,8 +61,7 @@ class Problem:
     asked: dict[str, Any] = field(default_factory=dict)
 
     def plan(self) -> Any:
-        options = {"character": "stunt"} | self.asked  # the least cost: results stay comparable
-        return vehsim.plan(vehsim.load_vehicle(self.vehicle), self.world, self.marks, **options)
+        return vehsim.plan(vehsim.load_vehicle(self.vehicle), self.world, self.marks, **self.asked)
 
 
 def docking(seed: int) -> Problem:
