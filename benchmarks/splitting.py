@@ -52,7 +52,7 @@ def splitting_step(inertia: Sequence[float], mass: float, kick: Callable[[Any, A
     as for `vehsim.integrators.references.reference_step`.
     """
     x, h = ca.SX.sym("x", 13), ca.SX.sym("h")
-    q, p, m, l = x[:4], x[4:7], x[7:10], x[10:13]  # noqa: E741
+    q, p, m, linear = x[:4], x[4:7], x[7:10], x[10:13]
     middle = sorted(range(3), key=lambda i: inertia[i])[1]
     first, last = (i for i in range(3) if i != middle)
     rates = [1 / inertia[i] - 1 / inertia[middle] for i in range(3)]
@@ -66,11 +66,11 @@ def splitting_step(inertia: Sequence[float], mass: float, kick: Callable[[Any, A
             owed += t if part == 0 else 0.0
         else:
             assert kick is not None
-            q, p, owed = _drift(q, m, owed / inertia[middle]), p + owed * l / mass, 0.0
+            q, p, owed = _drift(q, m, owed / inertia[middle]), p + owed * linear / mass, 0.0
             push = kick(q, p)
-            m, l = m + t * push[:3], l + t * push[3:]  # noqa: E741
-    q, p = _drift(q, m, owed / inertia[middle]), p + owed * l / mass
-    return _step("splitting", x, h, ca.vertcat(_unit(q), p, m, l))
+            m, linear = m + t * push[:3], linear + t * push[3:]
+    q, p = _drift(q, m, owed / inertia[middle]), p + owed * linear / mass
+    return _step("splitting", x, h, ca.vertcat(_unit(q), p, m, linear))
 
 
 def rk4_step(inertia: Sequence[float], mass: float, kick: Callable[[Any, Any], Any] | None = None) -> ca.Function:
@@ -78,11 +78,11 @@ def rk4_step(inertia: Sequence[float], mass: float, kick: Callable[[Any, Any], A
     x, h, moments = ca.SX.sym("x", 13), ca.SX.sym("h"), ca.DM(inertia)
 
     def slope(x: Any) -> Any:
-        q, p, m, l = x[:4], x[4:7], x[7:10], x[10:13]  # noqa: E741
+        q, p, m, linear = x[:4], x[4:7], x[7:10], x[10:13]
         rate = m / moments
         push = ca.SX(6, 1) if kick is None else kick(q, p)
         turning = ca.vertcat(-ca.dot(q[1:4], rate), q[0] * rate + ca.cross(q[1:4], rate)) / 2
-        return ca.vertcat(turning, l / mass, ca.cross(m, rate) + push[:3], push[3:])
+        return ca.vertcat(turning, linear / mass, ca.cross(m, rate) + push[:3], push[3:])
 
     a = slope(x)
     b = slope(x + h / 2 * a)
