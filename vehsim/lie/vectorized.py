@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.lie.once import built_once
 
@@ -31,14 +32,19 @@ def vectorized(method: Callable[..., Any]) -> Callable[..., Any]:
         count = int(np.prod(lead, dtype=int))
         rows, width = function.size_out(0)
         if count == 0:
-            values = np.zeros((rows, 0))
+            values = np.zeros((0, rows, width))
         else:
-            values = np.asarray(function.map(count)(*columns) if count > 1 else function(*columns))
-        stacked = values.reshape(rows, count, width).transpose(1, 0, 2)
+            values = stacked(function.map(count)(*columns) if count > 1 else function(*columns), count)
         shape = (rows, width) if width > 1 else (rows,) if rows > 1 else ()
-        return stacked.reshape(*lead, *shape)
+        return values.reshape(*lead, *shape)
 
     return call
+
+
+def stacked(side_by_side: Any, count: int) -> NDArray[np.float64]:
+    """The matrices (m, k) that a mapped function gives side by side, as (count, m, k)."""
+    values = np.asarray(side_by_side)
+    return values.reshape(len(values), count, -1).transpose(1, 0, 2)
 
 
 def _function(owner: Any, method: Callable[..., Any], sizes: tuple[int, ...]) -> ca.Function:

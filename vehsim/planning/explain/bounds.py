@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY
 from vehsim.integrators.fast.kernel import Kernel
 from vehsim.lie.quaternions import from_yaw
+from vehsim.lie.vectorized import stacked
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.vehicles.definition.mechanics import free_size, free_velocity, project
 
@@ -222,9 +223,7 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     grid[:, forces] = _grid(bounds[forces])
     joints = _joints(vehicle, random, 64)
     inverse_roots, fastest = [], 0.0
-    inertias, motions = (
-        _matrices(value, len(joints)) for value in laws["inertia"].map(len(joints))(np.array(joints).T)
-    )
+    inertias, motions = (stacked(value, len(joints)) for value in laws["inertia"].map(len(joints))(np.array(joints).T))
     for inertia, moves in zip(inertias, motions, strict=True):
         values, vectors = np.linalg.eigh((inertia + inertia.T) / 2)
         if not len(values) or values.min() <= 1e-12 * values.max():
@@ -257,12 +256,6 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + GRAVITY * slope
     loss = gain + np.maximum.accumulate(losses) * fastest * SAMPLING_FACTOR
     return Push(gain, loss)
-
-
-def _matrices(side_by_side: Any, count: int) -> Array:
-    """Matrices (m, k) side by side, as (count, m, k)."""
-    values = np.asarray(side_by_side)
-    return values.reshape(len(values), count, -1).transpose(1, 0, 2)
 
 
 def _rows(kernel: Kernel, *inputs: Array) -> Array:

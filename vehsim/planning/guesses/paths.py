@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie import SO3
+from vehsim.lie.vectorized import stacked
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import cuts_of, legs_between, mark_positions, poses_of
@@ -232,5 +233,4 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
 
 def _matrices(function: ca.Function, rows: Array) -> Array:
     """The matrix (m, k) that a function of a column gives for each row (n, .), as (n, m, k)."""
-    m, k = function.size_out(0)
-    return np.asarray(function.map(len(rows))(rows.T)).reshape(m, len(rows), k).transpose(1, 0, 2)
+    return stacked(function.map(len(rows))(rows.T), len(rows))
