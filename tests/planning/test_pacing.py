@@ -68,4 +68,6 @@ def test_changes_of_direction_are_counted_where_the_vehicle_moves():
     poses = np.column_stack([x, np.zeros((len(x), 3))])
     assert changes_of_gear(poses)[-1] == 2 and changes_of_gear(poses[:5])[-1] == 0
     assert changes_of_gear(np.add(poses, [0, 0, 0, np.pi]))[-1] == 2  # tail first, then the same
+    sideways = np.column_stack([0.01 * (-1.0) ** np.arange(12), np.arange(12.0), np.zeros((12, 2))])
+    assert not changes_of_gear(sideways).any()
     assert not changes_of_gear(poses[:, :3]).any() and not changes_of_gear(poses[:1]).any()

@@ -17,8 +17,8 @@ STEPS, FINER = 32, 9
 """Steps of time on a leg, and cells of the path for each."""
 FASTEST, HARDEST = 27, 6
 """Largest speed, cells per step, and its largest change from one step to the next."""
-STANDS = 1e-3
-"""A step shorter than this share of the longest is a standstill."""
+STANDS = 0.05
+"""Below this share of the longest step, a step ahead has no direction: the vehicle stands or moves sideways."""
 MEETING = 100.0
 """Price of each second too near an obstacle, or of a change of direction without a stop, m^2/s^3: more than any
 acceleration that it could save."""
@@ -83,6 +83,6 @@ def changes_of_gear(poses: Array) -> NDArray[np.int64]:
         return np.zeros(len(poses), np.int64)
     step = np.gradient(poses[:, :2], axis=0)
     ahead = step[:, 0] * np.cos(poses[:, 3]) + step[:, 1] * np.sin(poses[:, 3])
-    gear = np.sign(ahead) * (np.abs(ahead) > STANDS * np.abs(ahead).max())
-    gear = gear[np.maximum.accumulate(np.where(gear != 0, np.arange(len(gear)), 0))]  # where it stands, as before
+    gear = np.sign(ahead) * (np.abs(ahead) > STANDS * np.linalg.norm(step, axis=1).max())
+    gear = gear[np.maximum.accumulate(np.where(gear != 0, np.arange(len(gear)), 0))]  # else it is as before
     return np.concatenate([[0], np.cumsum((np.diff(gear) != 0) & (gear[:-1] != 0))])
