@@ -15,7 +15,7 @@ import vehsim
 from tests.browser import opened
 from vehsim.cameras.camera import CameraRig
 from vehsim.cameras.framing import solve_camera
-from vehsim.delivery.take import RenderSettings, Take
+from vehsim.delivery.take import RenderSettings, Take, UsdSettings
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.exporters.web import scene as web
 from vehsim.exporters.web.html import PAGE
@@ -207,15 +207,18 @@ def test_large_textures_are_reduced(tmp_path):
         assert image.getpixel((700, 7)) == pytest.approx((0, 200, 0), abs=3)
 
 
-@pytest.mark.parametrize("most", [4_000_000, 30_000])
-def test_water_moves_as_on_the_stage(toys, tmp_path, monkeypatch, most):
+@pytest.mark.parametrize(
+    ("most", "form"),
+    [(4_000_000, UsdSettings()), (30_000, UsdSettings()), (30_000, UsdSettings(up_axis="Y", meters_per_unit=0.01))],
+)
+def test_water_moves_as_on_the_stage(toys, tmp_path, monkeypatch, most, form):
     monkeypatch.setattr(web, "WATER_SAMPLES", most)
     monkeypatch.setattr("vehsim.exporters.usd.scenery.water_grid.MOST_POINTS", 3000)
     clip = toys.clip(toys.asset(tmp_path / "toy.usda"))
     clips = {"toy0": clip}
     world = World(water=Water(surface=wave(0.6, 25.0)))
     camera = solve_camera(CameraRig(), clips, world, toys.frames)
-    take = Take("shot", clips, world, (camera,), Fraction(24), toys.frames)
+    take = Take("shot", clips, world, (camera,), Fraction(24), toys.frames, usd=form)
     stage = StageReader(take.export(tmp_path, to=("usd",)) / "shot.usda")
     block = Block(web.scene_block(take, stage))
     water = block.header["water"]

@@ -41,7 +41,7 @@ SILENT = 120.0
 """Time after which a browser that answers no ping has gone, s."""
 PARTING = 1.0
 """Time for a browser to answer when the server ends, s."""
-PASSING = ("progress", "draft", "iterate", "preview", "live")
+PASSING = ("progress", "draft", "iterate", "preview", "live", "water")
 """Kinds of messages of which a slow browser needs only the newest."""
 OWN = Path(__file__).parent / "page"
 SCRIPTS = (PAGE / "three.min.js", PAGE / "viewer.js", OWN / "live.js", OWN / "edit.js", OWN / "drive.js")
@@ -63,7 +63,7 @@ class Server:
         self._scene: bytes | None = None
         self._water: bytes | None = None
         """How the water moves, if the page has been shown."""
-        self._pouring = False
+        self._drawing_water = False
         self._told_motion = False
         self._drag: tuple[Drag, Browser] | None = None
         self._dragging: Browser | None = None
@@ -174,7 +174,7 @@ class Server:
 
     def _queue(self, job: Job) -> None:
         self._jobs.append(job)
-        if job.supersedes or self._pouring:
+        if job.supersedes or self._drawing_water:
             self._session.superseded.set()
         self._wake.set()
 
@@ -230,7 +230,7 @@ class Server:
                 elif self._session.interrupted:
                     await self._solve(self._session.solve)
                 else:
-                    await self._pour()
+                    await self._draw_water()
 
     @property
     def _unfinished(self) -> bool:
@@ -290,9 +290,9 @@ class Server:
             with suppress(VehsimError):
                 await self._in_thread(self._session.prepare)
 
-    async def _pour(self) -> None:
+    async def _draw_water(self) -> None:
         """Show how the water moves around the vehicles."""
-        self._pouring = True
+        self._drawing_water = True
         try:
             self._tell_block(await self._in_thread(self._session.water))
         except Superseded:
@@ -300,7 +300,7 @@ class Server:
         except VehsimError as error:
             self._tell({"kind": "refused", "text": str(error)})
         finally:
-            self._pouring = False
+            self._drawing_water = False
         self._tell(self._session.state)
 
     async def _drive(self, message: TakeControls) -> None:

@@ -119,7 +119,7 @@ class Session:
         """Time at which the next iterate is drawn, on the clock of `time.monotonic`, s."""
         self._on_screen: Take | None = None
         """The take whose scene or motion the page shows; one of straight guesses if no solve has succeeded."""
-        self._afloat: Take | None = None
+        self._moving_water: Take | None = None
         """The take whose moving water the page shows."""
         self._drafts: dict[str, Drawn] = {}
         self._solved_handles: list[Handle] = []
@@ -249,17 +249,17 @@ class Session:
     def waits_for_water(self) -> bool:
         """Whether the page shows the water of the first frame, or of another motion."""
         take = self._on_screen
-        return take is not None and take.world.water is not None and take is not self._afloat
+        return take is not None and take.world.water is not None and take is not self._moving_water
 
     def water(self) -> bytes:
         """How the water moves around what the page shows, which takes longer than all else. Raises `Superseded`."""
-        take, before = self._on_screen, self._afloat
+        take, before = self._on_screen, self._moving_water
         assert take is not None and self._kinematics is not None
-        self._afloat = take  # also if it fails, which would fail again
+        self._moving_water = take  # also if it fails, which would fail again
         try:
             return water_block(take, self._kinematics.stage, lambda share: self._progress("drawing the water", share))
         except Superseded:
-            self._afloat = before
+            self._moving_water = before
             raise
 
     def _shown(self, take: Take) -> bytes:

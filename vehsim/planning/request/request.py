@@ -25,7 +25,7 @@ from vehsim.planning.request.marks_near_obstacles import at_level, check_marks_c
 from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.planning.trim import leans, rests_uncontrolled
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.character import DEFAULT
+from vehsim.vehicles.definition.character import BRISK, DEFAULT
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground import touchdown
 from vehsim.world.ground.placing import can_stand
@@ -133,7 +133,7 @@ def starting(vehicle: Vehicle, mark: Mark) -> list[Constraint]:
     moves = not mark.at_rest and (mark.velocity is not None or mark.speed)
     if vehicle.group.dim != 6 or trait is None or not moves or mark.given_frame is None:
         return []
-    value, at = trait.of("brisk"), mark.given_frame
+    value, at = trait.of(BRISK), mark.given_frame
     made = Limits({"turn_rate": value}).constraints()
     return [
         replace(limit, name=f"{mark.name} (turn rate)", over="knots", frames=(at, at), identity=("starting", value))

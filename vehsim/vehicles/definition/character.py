@@ -13,6 +13,7 @@ from typing import Final, Literal, get_args
 CharacterName = Literal["calm", "normal", "brisk", "stunt"]
 CHARACTERS: tuple[CharacterName, ...] = get_args(CharacterName)
 """The characters of every vehicle, from the gentlest to the hardest."""
+BRISK: Final = "brisk"
 STUNT: Final = "stunt"
 """The character without numbers: as hard as the model allows."""
 NORMAL: Final = "normal"
