@@ -63,6 +63,21 @@ def test_quiet_and_json_print_no_progress_lines(
 
 
 @pytest.mark.usefixtures("eager")
+def test_no_line_follows_the_end(capsys: pytest.CaptureFixture[str]) -> None:
+    begun, free = threading.Event(), threading.Event()
+
+    def line() -> tuple[str, str]:
+        begun.set()
+        free.wait()
+        return "", "late"
+
+    with screen.ticking(line):
+        begun.wait()
+        threading.Timer(0.2, free.set).start()  # the end comes first
+    assert capsys.readouterr().err.startswith("late")  # and is waited for
+
+
+@pytest.mark.usefixtures("eager")
 def test_pictures_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["export", write(tmp_path), "--out", str(tmp_path), "--quiet"]) == 0
     render = ["render", str(tmp_path / "drive" / "drive.usda"), "--size", "64x36", "--frames", "1001-1002"]

@@ -104,6 +104,7 @@ def ticking(line: Callable[[], tuple[str, str]]) -> Iterator[Callable[[], None]]
         yield tick
     finally:
         ended.set()
+        thread.join()  # no line may follow the result
 
 
 class _Lines:
