@@ -45,6 +45,7 @@ def simulate(
     order: int = 2,
     everywhere: bool = False,
     actuators: bool = True,
+    after: Clip | None = None,
     progress: Progress | None = None,
 ) -> Clip:
     """Simulate ``vehicle`` for ``duration`` s under ``controls`` in ``world``; returns a `Clip` with a sample per step.
@@ -63,8 +64,11 @@ def simulate(
     every frame is a knot; the duration is rounded up to whole steps. ``world.wind`` acts through the vehicle's drag. A
     planar vehicle keeps its start height; on a terrain, gravity pulls it along slopes, and its wheels follow the
     ground. Slopes are resolved where it can come within the duration, or ``everywhere``: then the duration does not
-    change the motion before its end. ``difference_map`` and ``order`` as of `vehsim.integrators.Integrator`. Raises
-    ``InputError`` naming key, value and remedy; ``SolveError`` with step, state and residual if a step fails.
+    change the motion before its end. ``after``: a clip of an earlier call, which is continued from its last sample. The
+    result contains it, and has the same bytes as one simulation of the whole ``duration`` under the controls of both:
+    ``controls`` act after its end only. Everything else must be as in the earlier call. ``difference_map`` and
+    ``order`` as of `vehsim.integrators.Integrator`. Raises ``InputError`` naming key,
+    value and remedy; ``SolveError`` with step, state and residual if a step fails.
     """
     from vehsim.integrators.forced import pushed, substeps
     from vehsim.integrators.integrator import Integrator
@@ -94,25 +98,32 @@ def simulate(
         integrator = Integrator(vehicle, h / cuts, difference_map, order, wind=_wind(world))
         law = controls if table is None else _played(table, steps * h)
         law = Actuated(vehicle, law) if actuators else law
-        clip = _commanded(pushed(integrator, environment, law, begin, steps, cuts, rate, start_frame, progress), law)
+        clip, memory = pushed(
+            integrator, environment, law, begin, steps, cuts, rate, start_frame, progress, _memory(after, steps)
+        )
+        clip = _commanded(clip, law)
         _warn_limits(vehicle, clip)
         _warn_targets(controls, clip)
-        return clip
+        return _ended(clip, memory)
     integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
 
     if table is None:
         law = Actuated(vehicle, controls) if actuators else controls
-        clip = _commanded(_fly(integrator, law, begin, steps, rate, start_frame, progress), law)
+        clip, memory = _fly(integrator, law, begin, steps, rate, start_frame, progress, _memory(after, steps))
+        clip = _commanded(clip, law)
     else:
-        knots = table if len(table) == 1 else _spread(table, steps)
+        # whole rollouts are fast: one that is continued is repeated with its commands
+        knots = np.repeat(table, steps + 1, axis=0) if len(table) == 1 else _spread(table, steps)
+        before = _memory(after, steps)
+        knots = knots if before is None else np.concatenate([before["knots"], knots[len(before["knots"]) :]])
+        memory = {"knots": knots}
         positions = follow(vehicle, knots, h) if actuators else knots
-        rows = (steps + 1, len(vehicle.controls))
-        clip = _roll(integrator, np.broadcast_to(positions, rows), begin, rate, start_frame, progress)
+        clip = _roll(integrator, positions, begin, rate, start_frame, progress)
         if actuators:
-            clip = _with_commands(clip, np.broadcast_to(knots, rows))
+            clip = _with_commands(clip, knots)
     _warn_limits(vehicle, clip)
     _warn_targets(controls, clip)
-    return place_on_terrain(replace(clip, vehicle=vehicle), world)
+    return _ended(place_on_terrain(replace(clip, vehicle=vehicle), world), memory)
 
 
 @dataclass(frozen=True)
@@ -132,12 +143,14 @@ def simulate_together(
     fps: Any = 24,
     start_frame: int = 1001,
     *,
+    after: Mapping[str, Clip] | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Clip]:
     """Simulate several vehicles at the same time in ``world``, whose ``contact`` says how they touch.
 
-    ``movers``: name -> `Mover`; the other parameters as in `simulate`. Returns a clip for every name, with its contacts
-    among its events. Raises the same errors as `simulate`.
+    ``movers``: name -> `Mover`; the other parameters as in `simulate`; ``after``: the clips of an earlier call, which
+    are continued. Returns a clip for every name, with its contacts among its events. Raises the same errors as
+    `simulate`.
     """
     from vehsim.integrators.environment import Nothing
     from vehsim.integrators.forced import Recording, pushed_together, substeps
@@ -166,14 +179,35 @@ def simulate_together(
         Recording(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, law, begin, cuts)
         for _, vehicle, law, begin, environment in prepared
     ]
-    pushed_together(recordings, meeting, steps, cuts, progress)
+    memories = [_memory(after[name], steps) for name in movers] if after is not None else [None]
+    memory = pushed_together(recordings, meeting, steps, cuts, progress, memories[0])
     clips = {}
     for k, (recording, (name, vehicle, law, _, environment)) in enumerate(zip(recordings, prepared, strict=True)):
         events = sorted([*environment.events(), *meeting.events(k)], key=lambda event: event["time"])
         clips[name] = _commanded(recording.clip(events, rate, start_frame), law)
         _warn_limits(vehicle, clips[name])
         _warn_targets(movers[name].controls, clips[name])
+        clips[name] = _ended(clips[name], memory)
     return clips
+
+
+def _ended(clip: Clip, memory: Mapping[str, Any]) -> Clip:
+    """The clip, such that it can be continued."""
+    return replace(clip, ending={"positions": clip.positions, "memory": memory})
+
+
+def _memory(after: Clip | None, steps: int) -> Mapping[str, Any] | None:
+    """What a clip that is continued for ``steps`` in all left; None: none is. Raises ``InputError``."""
+    if after is None:
+        return None
+    if after.ending is None or not np.array_equal(after.ending["positions"], after.positions):
+        remedy = "take a clip as `simulate` returned it in this session, neither edited nor read from a file"
+        raise InputError("cannot be continued", remedy, key="after", subject=after.vehicle.name)
+    if len(after) > steps + 1:
+        message = f"has {len(after) - 1} steps, more than the {steps} of the whole duration"
+        raise InputError(message, "give a longer duration, which counts from the start", key="after")
+    memory: Mapping[str, Any] = after.ending["memory"]
+    return memory
 
 
 def _commanded(clip: Clip, law: Any) -> Clip:
@@ -205,8 +239,10 @@ def _fly(
     fps: Fraction,
     start_frame: int,
     progress: Progress | None,
-) -> Clip:
+    memory: Mapping[str, Any] | None,
+) -> tuple[Clip, Mapping[str, Any]]:
     """Simulate with controls that depend on the state: evaluate them at each knot's predicted state, then step."""
+    from vehsim.integrators.carried import carried, carry_on
     from vehsim.integrators.guards import warn_of_stiff_damping
     from vehsim.integrators.phase import packed
     from vehsim.integrators.record import build_clip
@@ -215,8 +251,10 @@ def _fly(
     vehicle = integrator.vehicle
     if hasattr(pilot, "reset"):
         pilot.reset()
+    asked: list[tuple[float, State]] = []
 
     def controls_at(k: int, state: State) -> Array:
+        asked.append((k * integrator.step_size, state))
         return control_vector(
             vehicle, pilot(k * integrator.step_size, state), f"controls(t = {k * integrator.step_size:.6g})"
         )
@@ -229,7 +267,13 @@ def _fly(
     phase = integrator.start(begin, c)
     phases: list[Phase] = [phase]
     controls = [c]
-    for k in range(steps):
+    if memory is not None:
+        phases, controls, asked = list(memory["phases"]), list(memory["controls"]), list(memory["asked"])
+        for t, state in asked[1:]:
+            pilot(t, state)
+        carry_on(pilot, memory["law"])
+        phase, c = phases[-1], controls[-1]
+    for k in range(len(phases) - 1, steps):
         guess = 2 * controls[-1] - controls[-2] if k else c
         predicted = integrator.advance(phase, c, guess, k)
         after = controls_at(k + 1, integrator.state(predicted, guess, anchor))
@@ -245,9 +289,11 @@ def _fly(
     g, r, pi = (np.array([getattr(p, name) for p in phases]) for name in ("g", "r", "pi"))
     rows, ends = np.array(controls), np.array([packed(phases[0]), packed(phases[-1])])
     warn_of_stiff_damping(integrator.mechanics, ends, rows, integrator.step_size, integrator.wind)
-    return build_clip(
+    clip = build_clip(
         integrator.mechanics, times, g, r, pi, rows, anchor, wind=integrator.wind, fps=fps, start_frame=start_frame
     )
+    law = carried(pilot) if hasattr(pilot, "CARRIED") else {}
+    return clip, {"phases": tuple(phases), "controls": tuple(controls), "asked": tuple(asked), "law": law}
 
 
 def _table(vehicle: Vehicle, controls: Any) -> Array:

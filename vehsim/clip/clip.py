@@ -37,8 +37,11 @@ class Clip(Samples):
     (n, d) in body axes, rad/s then m/s; ``joints``, ``joint_rates`` (n, s); ``controls`` (n, c); ``channels`` rig
     channel name -> (n,), rad or m, unwrapped. Sample k is frame ``start_frame + times[k] * fps``. ``events``: for
     example contacts; ``energy``: name -> (n,) J. ``commands``: what the actuators of the ``controls`` followed, control
-    name -> (n,); empty if a motion was not made from commands.
+    name -> (n,); empty if a motion was not made from commands. ``ending``: what `vehsim.simulate` needs to continue it;
+    it is not saved.
     """
+
+    ending: Any = None
 
     def at(self, times: Any) -> Clip:
         """The clip at any times (m,) s, through its interpolant: C1 in the pose, exact at the knots.

@@ -7,11 +7,12 @@ An environment returns a wrench as a function of time, state and controls, indep
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.integrators.carried import carried, carry_on
 from vehsim.vehicles.definition.base import State
 
 Array = NDArray[np.float64]
@@ -22,9 +23,10 @@ class Environment:
 
     ``max_step`` s: the longest permitted integration step; simulation takes substeps if necessary. ``next_step`` s: the
     longest step from the last evaluated state, for short events such as contact. ``settled``: whether contact held the
-    vehicle still in that state.
+    vehicle still in that state. ``CARRIED``: attributes that an evaluation leaves for later ones.
     """
 
+    CARRIED: ClassVar[tuple[str, ...]] = ()
     max_step: float = np.inf
     next_step: float = np.inf
     settled: bool = False
@@ -44,6 +46,14 @@ class Environment:
     def events(self) -> list[dict[str, Any]]:
         """Events so far, for clip and report: ``{"time": s, "kind": ..., ...}``, in order."""
         return []
+
+    def memory(self) -> Any:
+        """What earlier evaluations left for later ones, as plain data."""
+        return carried(self)
+
+    def recall(self, memory: Any) -> None:
+        """Continue from the `memory` of another environment of the same vehicle and world."""
+        carry_on(self, memory)
 
 
 class Nothing(Environment):
@@ -80,3 +90,10 @@ class Combined(Environment):
 
     def events(self) -> list[dict[str, Any]]:
         return sorted((event for part in self.parts for event in part.events()), key=lambda event: event["time"])
+
+    def memory(self) -> Any:
+        return [part.memory() for part in self.parts]
+
+    def recall(self, memory: Any) -> None:
+        for part, own in zip(self.parts, memory, strict=True):
+            part.recall(own)

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from vehsim.errors import InputError, SolveError
+from vehsim.integrators.carried import carried, carry_on
 from vehsim.integrators.discrete import DiscreteMechanics, keep
 from vehsim.integrators.fast.kernel import Kernel
 from vehsim.integrators.guards import warn_of_stiff_damping
@@ -54,6 +55,8 @@ class Forced:
     ``push``ed by the wrench that follows from all states. ``phase``, ``controls`` and ``wrench`` (d,) belong to the
     knot reached; ``state`` is public, and predicted until the push. For `Integrator`s of order 2.
     """
+
+    CARRIED = ("time", "steps", "controls", "phase", "state", "wrench")
 
     def __init__(
         self, integrator: Integrator, environment: Environment, start: State, controls: Array, time: float = 0.0
@@ -173,6 +176,8 @@ class Recording:
     ``law(t, state)`` gives the controls (c,), linear between knots; a knot is ``cuts`` steps of the integrator.
     """
 
+    CARRIED = ("_before", "_after", "_guess")
+
     def __init__(
         self,
         integrator: Integrator,
@@ -182,6 +187,7 @@ class Recording:
         cuts: int,
     ):
         self._law, self._cuts, self._step = law, cuts, integrator.step_size * cuts
+        self._asked: list[tuple[float, State]] = []
         if hasattr(law, "reset"):
             law.reset()
         idle = np.zeros(len(integrator.vehicle.controls))
@@ -207,6 +213,33 @@ class Recording:
         self._before, self._guess = self._after, 2 * self._after - self._before
         self._rows.append((self.body.phase, self._after, self.body.wrench))
 
+    @property
+    def steps(self) -> int:
+        """The number of steps recorded."""
+        return len(self._rows) - 1
+
+    def memory(self) -> dict[str, Any]:
+        """All that the motion so far leaves for the rest of it, as plain data."""
+        return {
+            "own": carried(self),
+            "body": carried(self.body),
+            "environment": self.body.environment.memory(),
+            "law": carried(self._law) if hasattr(self._law, "CARRIED") else {},
+            "asked": tuple(self._asked),
+            "rows": tuple(self._rows),
+        }
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Continue from the `memory` of another recording from the same start. The law is asked again for what was
+        asked before, so that a pilot knows what it would know."""
+        carry_on(self, memory["own"])
+        carry_on(self.body, memory["body"])
+        self.body.environment.recall(memory["environment"])
+        self._rows, self._asked = list(memory["rows"]), list(memory["asked"])
+        for t, state in self._asked[1:]:
+            self._law(t, state)
+        carry_on(self._law, memory["law"])
+
     def clip(self, events: Sequence[Mapping[str, Any]], fps: Any, start_frame: int) -> Clip:
         """The clip so far. The ledger's work contains the work of the environment."""
         integrator = self.body.integrator
@@ -231,6 +264,8 @@ class Recording:
 
     def _controls(self, vehicle: Any, k: int, state: State) -> Array:
         t = k * self._step
+        if not getattr(self._law, "blind", False):
+            self._asked.append((t, state))
         return control_vector(vehicle, self._law(t, state), f"controls(t = {t:.6g})")
 
 
@@ -244,12 +279,17 @@ def pushed(
     fps: Any,
     start_frame: int,
     progress: Callable[[str, float], None] | None = None,
-) -> Clip:
-    """A clip of ``steps`` steps, each of ``cuts`` of the integrator's; ``law(t, state)`` gives the controls (c,)."""
+    memory: Mapping[str, Any] | None = None,
+) -> tuple[Clip, Mapping[str, Any]]:
+    """A clip of ``steps`` steps, each of ``cuts`` of the integrator's, and its memory; ``law(t, state)`` gives the
+    controls (c,). ``memory``: that of a shorter clip from the same start, which is continued."""
     recording = Recording(integrator, environment, law, begin, cuts)
     body = recording.body
     rest = Rest([body], lambda: environment.settled, lambda: [body.query()])
-    for k in range(steps):
+    if memory is not None:
+        recording.recall(memory["recording"])
+        carry_on(rest, memory["rest"])
+    for k in range(recording.steps, steps):
         recording.aim(k)
         for j in range(cuts):
             ends = recording.between(j / cuts), recording.between((j + 1) / cuts)
@@ -260,7 +300,8 @@ def pushed(
             progress("simulate", k / steps)
     if progress:
         progress("simulate", 1.0)
-    return recording.clip(environment.events(), fps, start_frame)
+    clip = recording.clip(environment.events(), fps, start_frame)
+    return clip, {"recording": recording.memory(), "rest": carried(rest)}
 
 
 def pushed_together(
@@ -269,8 +310,10 @@ def pushed_together(
     steps: int,
     cuts: int,
     progress: Callable[[str, float], None] | None,
-) -> None:
-    """Advance several vehicles by ``steps`` steps together: each feels its environment and the ``meeting``."""
+    memory: Mapping[str, Any] | None = None,
+) -> Mapping[str, Any]:
+    """Advance several vehicles by ``steps`` steps together: each feels its environment and the ``meeting``. Returns
+    their memory; ``memory``: that of fewer steps from the same start, which are continued."""
     bodies = [recording.body for recording in recordings]
     whole = [body.integrator for body in bodies]
 
@@ -282,7 +325,12 @@ def pushed_together(
     for body, forces in zip(bodies, query(), strict=True):
         body.start_with(*forces)
     rest = Rest(bodies, lambda: meeting.settled, query)
-    for k in range(steps):
+    if memory is not None:
+        for recording, own in zip(recordings, memory["recordings"], strict=True):
+            recording.recall(own)
+        carry_on(meeting, memory["meeting"])
+        carry_on(rest, memory["rest"])
+    for k in range(recordings[0].steps, steps):
         for recording in recordings:
             recording.aim(k)
         at, end = 0, cuts * FINEST
@@ -305,6 +353,8 @@ def pushed_together(
             progress("simulate", k / steps)
     if progress:
         progress("simulate", 1.0)
+    own = [recording.memory() for recording in recordings]
+    return {"recordings": own, "meeting": carried(meeting), "rest": carried(rest)}
 
 
 def _work(clip: Clip, wrenches: Array) -> Array:

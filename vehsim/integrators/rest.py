@@ -34,6 +34,8 @@ class Rest:
     ``settled()``: whether contact holds all of them; ``query()``: the wrench and added mass on each, at their states.
     """
 
+    CARRIED = ("_calm", "_held", "_balance")
+
     def __init__(
         self,
         bodies: Sequence[RestingBody],
@@ -42,6 +44,7 @@ class Rest:
     ) -> None:
         self._bodies, self._settled, self._query = bodies, settled, query
         self._calm, self._held = 0.0, False
+        self._balance: list[tuple[Array, Array | None]] = []
 
     def keeps(self, controls: Sequence[tuple[Array, Array]], seconds: float) -> bool:
         """Whether the bodies rest for ``seconds``, whose ``controls`` start and end as given; their time then passes.

@@ -47,6 +47,8 @@ class Actuated:
     where their commands are. ``commands``: a row (c,) for every knot.
     """
 
+    CARRIED = ("commands", "_controls", "_time")
+
     def __init__(self, vehicle: Definition, law: Callable[[float, State], Any]):
         self._vehicle, self._law = vehicle, law
         self.blind = bool(getattr(law, "blind", False))

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.integrators.carried import carried, carry_on
 from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import matrices
 from vehsim.vehicles.definition.base import State
@@ -147,6 +148,8 @@ class ContactScene:
 
     ``start_time``: the time at which ``t`` is 0, in s since frame 0, for moving obstacles.
     """
+
+    CARRIED = ("_events", "_grips", "_time", "_begun", "_soon", "_nearing", "next_step", "settled")
 
     def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact, start_time: float = 0.0) -> None:
         import mujoco
@@ -377,6 +380,12 @@ class Touching(Environment):
 
     def events(self) -> list[dict[str, Any]]:
         return self._scene.events()
+
+    def memory(self) -> Any:
+        return carried(self._scene)
+
+    def recall(self, memory: Any) -> None:
+        carry_on(self._scene, memory)
 
 
 def _toward(a: MovingBody | Led, b: MovingBody | Led | None, place: Array, normal: Array) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
+from vehsim.integrators.carried import carried, carry_on
 from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import cross, matrices
 from vehsim.vehicles.definition.base import State
@@ -78,6 +79,7 @@ class Weather(Protocol):
 class Afloat(Environment):
     """One vehicle in a world's water. Raises ``InputError`` if its hull is not valid."""
 
+    CARRIED = ("_last",)
     vehicle: Any
     world: Weather
     _last: tuple[State, Forces] | None = None
@@ -270,6 +272,22 @@ class Afloat(Environment):
         size = self.size
         arms = np.array([size[1] / 2, size[0] / 2, size[0] / 2, 1, 1, 1]) ** 2
         return float(size[0] * size[1]), arms, np.diag(self.vehicle.inertia) + 0.25 * self.added_mass_at_rest
+
+    def memory(self) -> Any:
+        remembered = self.seakeeping.remembered if self.seakeeping else None
+        return {
+            "last": carried(self),
+            "waves": carried(remembered) if remembered else None,
+            "window": self.field.window if self.field else None,
+        }
+
+    def recall(self, memory: Any) -> None:
+        carry_on(self, memory["last"])
+        if memory["waves"] is not None:
+            assert self.seakeeping is not None
+            carry_on(self.seakeeping.remembered, memory["waves"])
+        if self.field is not None and self.water.flat:  # waves are written anew at each evaluation
+            self.field.show(0.0, memory["window"])
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return self.forces(t, state, controls).wrench

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.errors import InputError, SolveError
 from vehsim.world.water.motion import Motion
@@ -25,6 +26,9 @@ MOST = 2049
 FAR = 2e4
 """Height of the common origin of all rays above the field, in widths of the field: the rays are practically vertical,
 and one call casts them all, in a fifth of the time of separate calls."""
+
+
+Window = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class WaterField:
@@ -57,6 +61,7 @@ class WaterField:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.low = self.high = np.full(2, np.nan)  # empty so far
+        self.window: Window | None = None
         self.shift: Array | None = None
         self.top = float(size.max()) * FAR
 
@@ -88,13 +93,18 @@ class WaterField:
 
     def update(self, t: float, low: Any, high: Any) -> None:
         """Write the surface at ``t`` s from ``low`` to ``high``, (2,) m each, with a margin of one cell."""
-        import mujoco
-
         first = np.floor((np.asarray(low, float) - self.anchor) / self.cell).astype(int) - 1
         last = np.ceil((np.asarray(high, float) - self.anchor) / self.cell).astype(int) + 1
         if self.water.grids is not None:  # queries never leave its grid
             rows, cols = self.water.grids.heights.shape[1:]
             first, last = np.clip(first, 0, [cols - 2, rows - 2]), np.clip(last, 1, [cols - 1, rows - 1])
+        self.show(t, (first, last))
+
+    def show(self, t: float, window: Window) -> None:
+        """Write the surface at ``t`` s over a ``window``: its first and last sample (2,), along X and Y."""
+        import mujoco
+
+        first, last = self.window = window
         if (last - first >= self.samples).any():
             raise SolveError(
                 f"{(last - first).max() + 1} samples per side, at most {self.samples} are possible",

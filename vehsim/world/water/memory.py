@@ -227,6 +227,7 @@ def _outputs(poles: Complex, inputs: Complex, omega: Array, wanted: NDArray[Any]
 class Remembered:
     """The state of a `Memory` while a hull moves: ``x`` (n,), complex, at ``time`` s, when the twist was ``twist``."""
 
+    CARRIED = ("time", "x", "twist")
     memory: Memory
     time: float = np.inf
     x: NDArray[np.complex128] | None = None

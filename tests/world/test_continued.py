@@ -1,0 +1,133 @@
+"""A simulation that is continued has the same bytes as one run through, whatever it left in the water, in contacts, in
+actuators or in a pilot. What it left is pickled in between: it is plain data, and shares nothing with the first run."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_contact import block as block  # a fixture
+from test_hydro import HULLS, boat_folder, coefficients
+
+import vehsim
+from vehsim.clip import Clip
+from vehsim.errors import InputError
+from vehsim.pilots import FlyTo, FollowPath
+from vehsim.simulation import Mover, simulate, simulate_together
+from vehsim.vehicles import State
+from vehsim.world.contact.contact import Contact
+from vehsim.world.obstacles.obstacles import box
+from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.water.water import Water, Waves
+from vehsim.world.wind import Gusts
+from vehsim.world.world import World
+
+SWELL = Waves(np.array([0.4, 0.15]), np.array([[-0.5, 0.3], [0.4, 1.2]]), np.array([0.0, 1.0]), choppiness=0.8)
+
+
+def kept(clip: Clip) -> Clip:
+    """The clip with a copy of what it left."""
+    return replace(clip, ending=pickle.loads(pickle.dumps(clip.ending)))
+
+
+def is_the_same(run: Callable[..., Clip], first: float, whole: float) -> Clip:
+    """Compare ``run(duration, after)`` in one, and in two pieces; returns the clip."""
+    through = run(whole, None)
+    assert run(whole, kept(run(first, None))).to_bytes() == through.to_bytes()
+    return through
+
+
+def helm(t: float, state: State) -> Any:
+    return [3000 * np.sin(t), 0.25 * np.cos(2 * t)]
+
+
+def test_a_boat_on_waves() -> None:
+    boat, world = vehsim.load_vehicle("boat"), World(water=Water(0.0, SWELL), wind=(3, 1, 0))
+    is_the_same(lambda t, after: simulate(boat, world, helm, duration=t, step=1 / 48, after=after), 0.7, 1.5)
+
+
+def test_a_boat_on_calm_water_leaves_the_first_window_of_the_surface() -> None:
+    boat, world = vehsim.load_vehicle("boat"), World(water=0.0)
+    start = State(position=(0, 0, -0.1), twist=(0, 0, 0, 12, 0, 0))
+    is_the_same(
+        lambda t, after: simulate(boat, world, [4000.0, 0.1], start, duration=t, step=1 / 48, after=after), 1.0, 1.5
+    )
+
+
+def test_a_boat_with_the_memory_of_the_waves_it_radiates(tmp_path: Any) -> None:
+    replace(coefficients(HULLS[0]), height=0.267).save(tmp_path / "hull.hydro.npz")
+    boat = vehsim.load_vehicle(boat_folder(tmp_path, "hull.hydro.npz"))
+    world = World(water=Water(0.0, SWELL))
+    is_the_same(lambda t, after: simulate(boat, world, helm, duration=t, step=1 / 48, after=after), 0.7, 1.2)
+
+
+@pytest.mark.filterwarnings("ignore:car")  # it does not arrive
+def test_a_car_under_commands_and_under_a_pilot() -> None:
+    car = vehsim.load_vehicle("car")
+    is_the_same(lambda t, after: simulate(car, None, [300.0, 0.1], duration=t, after=after), 1.0, 2.5)
+    pilot = FollowPath(car, [(0, 0), (15, 0), (20, 15)], speed=6)
+    world = World(terrain="flat")
+    is_the_same(lambda t, after: simulate(car, world, pilot, duration=t, everywhere=True, after=after), 1.3, 2.5)
+
+
+@pytest.mark.filterwarnings("ignore:helicopter")  # it does not arrive
+def test_a_helicopter_with_a_pilot_in_gusts() -> None:
+    heli, world = vehsim.load_vehicle("helicopter"), World(wind=(6, 0, 0), gusts=Gusts(0.2))
+    pilot, start = FlyTo(heli, (20, 5, 32), speed=5), State(position=(0, 0, 30))
+    is_the_same(lambda t, after: simulate(heli, world, pilot, start, duration=t, step=1 / 96, after=after), 0.5, 1.0)
+
+
+@pytest.mark.parametrize("first", [0.2, 1.2], ids=["sliding", "resting"])
+def test_a_block_on_a_slope(block: Any, first: float) -> None:
+    """It slides until friction holds it, and rests; its grip and its rest are carried."""
+    terrain = Terrain("slope", np.tile(-0.15 * np.arange(-20, 21), (41, 1)), (-10.0, -10.0), (0.5, 0.5))
+    world = World(terrain=terrain, contact=Contact(friction=0.4, restitution=0.3, speed=2.0))
+    pitch = np.arctan(0.3) / 2
+    start = State(position=(0, 0, 0.215), orientation=(np.cos(pitch), 0, np.sin(pitch), 0), twist=(0, 0, 0, 0.4, 0, 0))
+    clip = is_the_same(lambda t, after: simulate(block(), world, None, start, duration=t, after=after), first, 1.4)
+    moves = np.abs(np.diff(clip.positions, axis=0)).max(axis=1) > 0
+    assert moves[: int(0.2 * 240)].all() and not moves[int(1.2 * 240) :].any()
+
+
+def test_boats_that_meet_in_waves_at_a_wall() -> None:
+    boat = vehsim.load_vehicle("boat")
+    world = World(
+        water=Water(0.0, SWELL), contact=Contact(friction=0.3), obstacles=[box("wall", (6.5, 0, 0), (1, 20, 4))]
+    )
+    starts = {"one": 0.0, "two": -9.0}
+
+    def run(duration: float, after: Any) -> dict[str, Clip]:
+        movers = {
+            name: Mover(boat, [3000.0, 0.0], State(position=(x, 0, -0.1), twist=(0, 0, 0, 6, 0, 0)))
+            for name, x in starts.items()
+        }
+        return simulate_together(movers, world, duration, step=1 / 48, after=after)
+
+    through = run(0.6, None)
+    pieces = run(0.6, {name: kept(clip) for name, clip in run(0.5, None).items()})
+    assert any(event["time"] < 0.5 for event in through["one"].events)
+    for name, clip in through.items():
+        assert pieces[name].to_bytes() == clip.to_bytes()
+
+
+def test_other_controls_act_from_there_on() -> None:
+    boat, world = vehsim.load_vehicle("boat"), World(water=0.0)
+    first = simulate(boat, world, [3000.0, 0.0], duration=1.0, step=1 / 48)
+    turned = simulate(boat, world, [3000.0, 0.3], duration=2.0, step=1 / 48, after=first)
+    np.testing.assert_array_equal(turned.positions[: len(first)], first.positions)
+    np.testing.assert_array_equal(turned.commands["steering"][len(first) - 1 :][:2], [0.0, 0.3])
+    assert turned.controls[len(first), 1] < 0.3  # its actuator follows from where it was
+
+
+def test_what_cannot_be_continued_is_refused(tmp_path: Any) -> None:
+    car = vehsim.load_vehicle("car")
+    first = simulate(car, None, [300.0, 0.1], duration=1.0)
+    for clip in (replace(first, positions=first.positions + 1), Clip.load(first.save(tmp_path / "first"))):
+        with pytest.raises(InputError, match="cannot be continued"):
+            simulate(car, None, [300.0, 0.1], duration=2.0, after=clip)
+    with pytest.raises(InputError, match="longer duration"):
+        simulate(car, None, [300.0, 0.1], duration=0.5, after=first)
