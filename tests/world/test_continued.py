@@ -50,11 +50,12 @@ def test_a_boat_on_waves() -> None:
     is_the_same(lambda t, after: simulate(boat, world, helm, duration=t, step=1 / 48, after=after), 0.7, 1.5)
 
 
-def test_a_boat_on_calm_water_leaves_the_first_window_of_the_surface() -> None:
-    boat, world = vehsim.load_vehicle("boat"), World(water=0.0)
-    start = State(position=(0, 0, -0.1), twist=(0, 0, 0, 12, 0, 0))
+def test_a_boat_that_falls_into_the_water() -> None:
+    """Continued while it slams: the next step depends on the last forces."""
+    boat, world = vehsim.load_vehicle("boat"), World(water=0.4)
+    start = State(position=(0, 0, 1.3), twist=(0, 0, 0, 8, 0, 0))
     is_the_same(
-        lambda t, after: simulate(boat, world, [4000.0, 0.1], start, duration=t, step=1 / 48, after=after), 1.0, 1.5
+        lambda t, after: simulate(boat, world, [3000.0, 0.1], start, duration=t, step=1 / 24, after=after), 0.5, 0.9
     )
 
 
@@ -120,7 +121,7 @@ def test_other_controls_act_from_there_on() -> None:
     turned = simulate(boat, world, [3000.0, 0.3], duration=2.0, step=1 / 48, after=first)
     np.testing.assert_array_equal(turned.positions[: len(first)], first.positions)
     np.testing.assert_array_equal(turned.commands["steering"][len(first) - 1 :][:2], [0.0, 0.3])
-    assert turned.controls[len(first), 1] < 0.3  # its actuator follows from where it was
+    assert 0 < turned.controls[len(first), 1] < 0.05  # its actuator follows from where it was
 
 
 def test_what_cannot_be_continued_is_refused(tmp_path: Any) -> None:
