@@ -1,6 +1,7 @@
 """Motion as sparse curves: cubic Bezier splines on scalar ops, with as few keys as a tolerance permits.
 
-A curve passes within its tolerance of the clip at 64 instants of every frame. Keys are on whole frames, except where
+A curve passes within its tolerance of the clip at 64 instants of every frame. Its tangents have the clip's slopes;
+their widths are fitted, which needs half as many keys as widths of a third. Keys are on whole frames, except where
 motion changes faster than one key per frame can follow. Where a channel turns one way, its curve does too. The root's
 orientation becomes three rotations, in the order that stays farthest from gimbal lock.
 """
@@ -12,8 +13,8 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise, permutations
-from typing import Any
+from itertools import permutations
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +29,22 @@ LOCK = np.radians(10.0)
 """Least distance of the middle rotation from gimbal lock, rad; closer to it, orientations are sampled."""
 COMFORT = np.radians(30.0)
 """A distance from gimbal lock at which the usual order, heading, pitch, roll, is kept."""
+WIDTHS = (0.03, 0.9)
+"""Least and largest width of a tangent, in lengths of its segment. Those of a segment add up to one length at most:
+some tools shorten longer ones."""
+ROUNDS = 7
+"""Rounds of Gauss and Newton's method at most for the widths of a segment."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A piecewise cubic: ``values`` (k,) at ``frames`` (k,), and ``slopes`` (k, 2) per frame before and after each."""
+    """A cubic Bezier curve: ``values`` (k,) at ``frames`` (k,). Its tangents before and after each key have ``slopes``
+    (k, 2) per frame, and ``widths`` (k, 2) in frames."""
 
     frames: Array
     values: Array
     slopes: Array
+    widths: Array
 
     def __call__(self, frames: Array) -> Array:
         """Values (n,) at ``frames`` (n,); held outside."""
@@ -45,28 +53,37 @@ class Curve:
         t = np.clip(frames, self.frames[0], self.frames[-1])
         k = np.clip(np.searchsorted(self.frames, t, side="right") - 1, 0, len(self.frames) - 2)
         h = self.frames[k + 1] - self.frames[k]
-        ends = (self.values[k], self.values[k + 1], self.slopes[k, 1] * h, self.slopes[k + 1, 0] * h)
-        return _cubic((t - self.frames[k]) / h, *ends)
+        widths = np.stack([self.widths[k, 1], self.widths[k + 1, 0]])
+        slopes = np.stack([self.slopes[k, 1], self.slopes[k + 1, 0]])
+        s = _parameters((t - self.frames[k]) / h, widths / h)
+        points = _control_points(self.values[k], self.values[k + 1], slopes, widths)
+        return np.asarray((_weights(s) * points).sum(axis=0))
 
     def spline(self) -> Any:
-        """The same curve for USD; tangents reach a third of the way to the next key."""
+        """The same curve for USD."""
         from pxr import Ts
 
         spline = Ts.Spline("double")
-        thirds = np.diff(self.frames, prepend=self.frames[0], append=self.frames[-1]) / 3
-        for frame, value, slopes, before, after in zip(
-            self.frames.tolist(), self.values.tolist(), self.slopes.tolist(), thirds, thirds[1:], strict=False
+        for frame, value, slopes, widths in zip(
+            self.frames.tolist(), self.values.tolist(), self.slopes.tolist(), self.widths.tolist(), strict=True
         ):
             knot = Ts.Knot("double")
             knot.SetTime(frame)
             knot.SetValue(value)
             knot.SetNextInterpolation(Ts.InterpCurve)
-            knot.SetPreTanWidth(float(before))
+            knot.SetPreTanWidth(widths[0])
             knot.SetPreTanSlope(slopes[0])
-            knot.SetPostTanWidth(float(after))
+            knot.SetPostTanWidth(widths[1])
             knot.SetPostTanSlope(slopes[1])
             spline.SetKnot(knot)
         return spline
+
+
+class _Tangents(NamedTuple):
+    """``slopes`` (2,) per instant and ``widths`` (2,) in instants after the start and before the end of a segment."""
+
+    slopes: Array
+    widths: Array
 
 
 def instants(first: float, last: float) -> Array:
@@ -81,16 +98,19 @@ def fit(frames: Array, values: Array, tolerance: float) -> Curve:
     """
     values = np.asarray(values, float)
     if len(frames) == 1 or np.ptp(values) == 0:
-        return Curve(frames[:1], values[:1], np.zeros((1, 2)))
+        return Curve(frames[:1], values[:1], np.zeros((1, 2)), np.zeros((1, 2)))
     slopes = _slopes(values, tolerance)
-    keys = [0]
+    keys, segments = [0], []
     for stop in _standstills(values):
         while keys[-1] < stop:
-            keys.append(_farthest(values[: stop + 1], slopes, keys[-1], tolerance))
-    chosen = slopes[keys]
-    for k, (start, end) in enumerate(pairwise(keys)):
-        chosen[k, 1], chosen[k + 1, 0] = _tamed(values[start : end + 1], chosen[k, 1], chosen[k + 1, 0])
-    return Curve(frames[keys], values[keys], chosen * INSTANTS)
+            end, tangents = _farthest(values[: stop + 1], slopes, keys[-1], tolerance)
+            keys.append(end)
+            segments.append(tangents)
+    chosen = np.zeros((len(keys), 2, 2))  # of each key: slopes and widths, before and after
+    chosen[:-1, :, 1] = [[slopes[0], widths[0]] for slopes, widths in segments]
+    chosen[1:, :, 0] = [[slopes[1], widths[1]] for slopes, widths in segments]
+    chosen[[0, -1], 0, [0, 1]] = chosen[[0, -1], 0, [1, 0]]
+    return Curve(frames[keys], values[keys], chosen[:, 0] * INSTANTS, chosen[:, 1] / INSTANTS)
 
 
 def _standstills(values: Array) -> list[int]:
@@ -101,48 +121,71 @@ def _standstills(values: Array) -> list[int]:
     return sorted({*whole[whole[:, 1] > whole[:, 0]].ravel().tolist(), len(values) - 1})
 
 
-def _farthest(values: Array, slopes: Array, start: int, tolerance: float) -> int:
-    """The end of the longest segment from ``start`` that fits: a whole frame or, within a frame, half of it, and so
-    on."""
+def _farthest(values: Array, slopes: Array, start: int, tolerance: float) -> tuple[int, _Tangents]:
+    """The end of the longest segment from ``start`` that fits, a whole frame or, within a frame, half of it, and so
+    on; and its tangents."""
 
-    def fits(end: int) -> bool:
-        return _fits(values[start : end + 1], slopes[start, 1], slopes[end, 0], tolerance)
+    def fitted(end: int) -> _Tangents | None:
+        return _fitted(values[start : end + 1], slopes[start, 1], slopes[end, 0], tolerance)
 
     last = len(values) - 1
     whole = min((start // INSTANTS + 1) * INSTANTS, last)
-    if not fits(whole):
-        step = INSTANTS // 2
-        while step > 1 and (start + step >= whole or not fits(start + step)):
+    step, best = INSTANTS, fitted(whole)
+    if best is None:
+        while best is None:  # ends at the latest with one instant, which every segment fits
             step //= 2
-        return start + step
+            best = fitted(start + step) if start + step < whole else None
+        return start + step, best
     ends = [*range(whole, last, INSTANTS), last]
     good, reach = 0, 1
-    while good + reach < len(ends) and fits(ends[good + reach]):
-        good, reach = good + reach, 2 * reach
+    while good + reach < len(ends) and (longer := fitted(ends[good + reach])):
+        good, reach, best = good + reach, 2 * reach, longer
     while reach > 1:
         reach //= 2
-        if good + reach < len(ends) and fits(ends[good + reach]):
-            good += reach
-    return ends[good]
+        if good + reach < len(ends) and (longer := fitted(ends[good + reach])):
+            good, best = good + reach, longer
+    return ends[good], best
 
 
-def _fits(values: Array, before: float, after: float, tolerance: float) -> bool:
-    """Whether the cubic with these end slopes per instant, `_tamed`, is within the tolerance."""
+def _fitted(values: Array, before: float, after: float, tolerance: float) -> _Tangents | None:
+    """Tangents with these slopes per instant whose cubic is within the tolerance of ``values`` (n,); None if none is
+    found.
+
+    A third of the segment's length is tried as their widths, then better widths by Gauss and Newton's method for least
+    squares. Slopes are kept, so that a key has the same slope on both sides, except at a kink.
+    """
+    h, rise, steps = len(values) - 1, values[-1] - values[0], np.diff(values)
+    slopes, most = np.array([before, after]), np.full(2, WIDTHS[1] * h)
+    if (steps >= 0).all() or (steps <= 0).all():
+        # a cubic whose control points turn one way does so itself
+        slopes[slopes * rise <= 0] = 0.0
+        np.divide(rise, slopes, out=most, where=slopes != 0)
+        most = np.minimum(most, WIDTHS[1] * h)
+    widths = np.minimum(h / 3, most)
+    for _ in range(ROUNDS):
+        points = _control_points(values[0], values[-1], slopes, widths)
+        t = _PROBES @ [0.0, widths[0], h - widths[1], h]
+        k = np.minimum(t.astype(np.int64), h - 1)
+        bent = (steps[np.minimum(k + 1, h - 1)] - steps[k]) / 2
+        errors = _PROBES @ points - values[k] - (t - k) * (steps[k] + (t - k - 1) * bent)
+        if h == 1 or (np.abs(errors).max() <= tolerance and _off(values, points, widths) <= tolerance):
+            return _Tangents(slopes, widths)
+        gradients = _PROBES[:, 1:3] * [1.0, -1.0] * (slopes - steps[k, None])
+        widths = np.clip(widths + np.linalg.lstsq(gradients, -errors, rcond=1e-3)[0], WIDTHS[0] * h, most)
+        widths *= min(1.0, h / widths.sum())
+    return None
+
+
+def _control_points(start: Any, end: Any, slopes: Array, widths: Array) -> Array:
+    """The four values of the control points of a segment from ``start`` to ``end``, with tangents (2, ...)."""
+    return np.stack([start, start + slopes[0] * widths[0], end - slopes[1] * widths[1], end])
+
+
+def _off(values: Array, points: Array, widths: Array) -> float:
+    """Largest distance of a cubic from ``values`` (n,), whose instants are evenly spaced along it."""
     h = len(values) - 1
-    before, after = _tamed(values, before, after)
-    cubic = _cubic(np.linspace(0.0, 1.0, h + 1), values[0], values[-1], before * h, after * h)
-    return bool(np.abs(cubic - values).max() <= tolerance)
-
-
-def _tamed(values: Array, before: float, after: float) -> tuple[float, float]:
-    """End slopes per instant with which a cubic turns one way if ``values`` do: between 0 and three times the mean
-    slope (Fritsch and Carlson 1980)."""
-    steps = np.diff(values)
-    if (steps < 0).any() and (steps > 0).any():
-        return before, after
-    most = 3 * float(values[-1] - values[0]) / len(steps)
-    low, high = min(most, 0.0), max(most, 0.0)
-    return min(max(before, low), high), min(max(after, low), high)
+    s = _parameters(np.arange(1, h) / h, widths[:, None] / h)
+    return float(np.abs(points @ _weights(s) - values[1:-1]).max())
 
 
 def _slopes(values: Array, tolerance: float) -> Array:
@@ -163,10 +206,34 @@ def _slopes(values: Array, tolerance: float) -> Array:
     return np.stack([np.where(smooth, middle, before), np.where(smooth, middle, after)], axis=1)
 
 
-def _cubic(s: Array, a: Any, b: Any, da: Any, db: Any) -> Array:
-    """The cubic from ``a`` to ``b`` with end slopes ``da`` and ``db``, at ``s`` from 0 to 1."""
+def _weights(s: Array) -> Array:
+    """The weights (4, n) of the control points of a cubic Bezier curve at parameters (n,) from 0 to 1."""
     r = 1 - s
-    return np.asarray(r * r * ((1 + 2 * s) * a + s * da) + s * s * ((1 + 2 * r) * b - r * db))
+    return np.stack([r * r * r, 3 * r * r * s, 3 * r * s * s, s * s * s])
+
+
+def _parameters(x: Array, widths: Array) -> Array:
+    """The parameters (n,) at shares ``x`` (n,) of a segment's length, with widths (2, n or 1) in shares of it whose sum
+    is at most 1: Newton's method, with bisection where it would leave its bracket."""
+    start, end = widths[0], 1 - widths[1]
+    low, high, s = np.zeros_like(x), np.ones_like(x), x.copy()
+    for _ in range(60):
+        w = _weights(s)
+        error = w[1] * start + w[2] * end + w[3] - x
+        if np.abs(error).max() < 1e-13:
+            break
+        np.copyto(low, s, where=error < 0)
+        np.copyto(high, s, where=error > 0)
+        r = 1 - s
+        slope = 3 * (r * r * start + 2 * r * s * (end - start) + s * s * (1 - end))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = s - error / slope
+        s = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
+    return s
+
+
+_PROBES = _weights(np.linspace(0, 1, 26)[1:-1]).T
+"""Weights (24, 4) at the parameters at which widths are fitted."""
 
 
 # ---------------------------------------------------------------- poses

@@ -103,7 +103,7 @@ def test_a_car_needs_few_keys_and_its_wheels_never_turn_back(tmp_path, toys, mak
     assert counted["keys"]["/toy0.xformOp:translateX"] == len(
         stage.GetPrimAtPath("/shot/vehicles/toy0").GetAttribute("xformOp:translateX").GetSpline().GetKnots()
     )
-    assert counted["share_of_samples"]["spins"] < 0.2 and counted["share_of_samples"]["others"] < 0.3
+    assert counted["share_of_samples"]["spins"] < 0.1 and counted["share_of_samples"]["others"] < 0.2
 
 
 def test_a_monotone_channel_has_a_monotone_curve():
@@ -122,6 +122,23 @@ def test_a_channel_that_grows_fast_does_not_swing_back_first():
     frames = instants(1001, 1049)
     curve = fit(frames, 40.0 * ((frames - 1001) / 48) ** 6, 2.0)
     assert np.diff(curve(np.linspace(1001, 1049, 50_001))).min() >= -1e-9 and len(curve.frames) < 10
+
+
+def test_widths_of_tangents_save_keys():
+    """A cubic with two free widths has an error of order six in its length, one with widths of a third of order four:
+    4,096 times the precision takes 4 and 8 times the keys."""
+    frames = instants(1001, 1241)
+    values = 1000.0 * np.sin((frames - 1001) / 40)
+    curves = [fit(frames, values, tolerance) for tolerance in (64.0**-1, 64.0**-3)]
+    for curve, tolerance in zip(curves, (64.0**-1, 64.0**-3), strict=True):
+        assert np.abs(curve(frames) - values).max() <= tolerance
+        slopes = 25.0 * np.cos((curve.frames - 1001) / 40)
+        assert np.abs(curve.slopes - slopes[:, None]).max() < 1e-3, "the same slope on both sides"
+        both = curve.widths[:-1, 1] + curve.widths[1:, 0]
+        assert (both <= np.diff(curve.frames) * (1 + 1e-12)).all()
+        spline, between = curve.spline(), np.linspace(1001, 1241, 997)
+        assert np.abs([spline.Eval(frame) for frame in between.tolist()] - curve(between)).max() < 1e-8
+    assert len(curves[1].frames) < 5 * len(curves[0].frames)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
