@@ -7,8 +7,11 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import vehsim
+from tests.shots import driven
 from vehsim.batch import export_batch, load_shots
 from vehsim.batch.inputs import fingerprint, is_finished
 from vehsim.cli import commands as cli
@@ -245,3 +248,25 @@ def test_an_asset_is_read_once_for_all_clips(write: Write, tmp_path: Path, monke
     second.check()
     assert export_batch([second], tmp_path / "out", ["usd"])[0].state == "done"
     assert reads == []
+
+
+def test_recordings_are_driven_again_in_a_batch(tmp_path: Path) -> None:
+    """``method = "sticks"`` with several tables: each clip is its recording; a changed table is made again."""
+    pushes = {"a": 500.0, "b": -300.0}
+    for name, push in pushes.items():
+        (tmp_path / f"{name}.csv").write_text(f"frame,control.torque [N m]\n1001,{push}\n1013,{push}\n")
+    shot, sweep = tmp_path / "drive.toml", '[sweep]\n"vehicle.car.motion.file" = ["a.csv", "b.csv"]\n'
+    header = driven().partition("method")[0]
+    shot.write_text(f'{header}method = "sticks"\nfile = "a.csv"\n{sweep}')
+    shots, out = load_shots(shot), tmp_path / "out"
+    assert [outcome.state for outcome in export_batch(shots, out, ["npz"], workers=2)] == ["done"] * 2
+    paths = [out / one.name / "car.npz" for one in shots]
+    car = vehsim.load_vehicle("car")
+    for path, push in zip(paths, pushes.values(), strict=True):
+        clip = vehsim.Clip.load(path, car)
+        assert np.sign(clip.positions[-1, 0]) == np.sign(push) and (clip.controls[:-1, 0] == push).all()
+    before = [path.read_bytes() for path in paths]
+    (tmp_path / "b.csv").write_text("frame,control.torque [N m]\n1001,-400\n1013,-400\n")
+    states = [outcome.state for outcome in export_batch(load_shots(shot), out, ["npz"], workers=2, resume=True)]
+    assert states == ["skipped", "done"]
+    assert paths[0].read_bytes() == before[0] and paths[1].read_bytes() != before[1]

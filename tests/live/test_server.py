@@ -3,11 +3,14 @@
 import asyncio
 import errno
 import json
+import subprocess
+import sys
 import threading
 import time
 import urllib.error
 import urllib.request
 from contextlib import asynccontextmanager
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -21,7 +24,7 @@ from vehsim import Shot
 from vehsim.errors import InputError
 from vehsim.live import server as live_server
 from vehsim.live import session as live_session
-from vehsim.live.messages import Drag, Place
+from vehsim.live.messages import Drag, Message, Place
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 
@@ -149,18 +152,40 @@ def test_a_drag_is_drawn_solved_saved_and_undone(path):
             text = SHOT.replace("[8, 1, 0]\nheading = 0\n", "[8, 1.5, 0]\nheading = 4.0\n")
             assert path.read_text() == text and not (path.parent / "drive.toml.autosave").exists()
 
-            await page.send(kind="export")
-            await page.until("said", lambda message: "exported" in message["text"])
-            ours = path.parent / "out" / "drive"
-            theirs = Shot.load(path).solve().export(path.parent / "cli", to=("usd", "html"))
-            for name in ("layers/car.anim.usdc", "drive.usda", "drive.html"):
-                assert (ours / name).read_bytes() == (theirs / name).read_bytes(), name
-
             await page.send(kind="undo")
             motion = await page.until("motion")
             assert motion.header["marks"][1]["position"] == [8.0, 1.0, 0.0]
 
     asyncio.run(play())
+
+
+def test_the_page_exports_the_bytes_of_the_command(path):
+    """After a drag, a retime, an undo and a redo, in another process: every file, reports included."""
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            await page.send(**moved("drag", 8.0, 1.4, 4.0))
+            await page.until("draft")
+            placed = moved("place", 8.0, 1.5, 4.0)
+            for message in (placed, placed | {"frame": 1085}, {"kind": "undo"}, {"kind": "redo"}):
+                await page.send(**message)
+            await page.send(kind="save")
+            await page.until("said")
+            await page.send(kind="export")
+            await page.until("said", lambda message: "exported" in message["text"])
+
+    asyncio.run(play())
+    assert "frame = 1085" in path.read_text()
+    command = [sys.executable, "-m", "vehsim", "export", path, "--out", path.parent / "cli", "--to", "usd,html"]
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE)
+    ours, theirs = (_content(path.parent / name / "drive") for name in ("out", "cli"))
+    assert "drive.html" in ours and ours == theirs
+
+
+def _content(folder):
+    """The bytes of every file below a folder."""
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
 @pytest.mark.parametrize("wait", (0.0, 60.0), ids=("drawn before it is solved", "drawn when it is solved"))
@@ -509,7 +534,11 @@ def test_saving_and_exporting_during_a_solve_do_not_end_it(path, monkeypatch):
     asyncio.run(play())
 
 
-def test_others_see_the_solved_motion_when_a_browser_leaves_in_a_drag(path):
+def test_a_browser_that_leaves_in_a_drag_releases_the_mark(path):
+    """Others see the motion solved where it was dragged last; it is in the autosave; undo takes it back."""
+
+    autosave = path.with_name("drive.toml.autosave")
+
     async def play():
         async with served(path) as address, browser(address) as first:
             await first.until("state", lambda message: message["solved"])
@@ -520,9 +549,11 @@ def test_others_see_the_solved_motion_when_a_browser_leaves_in_a_drag(path):
                 assert points(draft)[-1] == pytest.approx([8, 1.4, 0], abs=1e-4)
                 await first.socket.close()
                 motion = await second.until("motion")
-                assert (points(motion) == points(scene)).all()
+                assert points(motion)[-1] == pytest.approx([8, 1.4, 0], abs=1e-4)
                 state = await second.until("state", lambda message: message["solved"])
-                assert not state["changed"]
+                assert state["changed"] and "position = [8, 1.4, 0]" in autosave.read_text()
+                await second.send(kind="undo")
+                assert (points(await second.until("motion")) == points(scene)).all()
         assert path.read_text() == SHOT
 
     asyncio.run(play())
@@ -584,6 +615,48 @@ def test_nothing_that_is_sent_ends_the_session(path):
         assert path.read_text() == SHOT
 
     asyncio.run(play())
+
+
+HOSTILE = [
+    None, True, 0, -1, 7, 10**30, 1e308, 0.5, "", "car", "../../shot", "/etc/passwd", MARK, "x" * 201, "\x00", [], [[]],
+    [8.0, 1.2, 0.0], [1e300] * 3, ["../drive.car.001.csv"], {}, {"kind": "drag"},
+]  # fmt: skip
+
+
+def hostile(rng):
+    """A message of a known kind whose fields have values of any kind, or such a text with a character changed."""
+    model = get_args(Message)[rng.integers(len(get_args(Message)))]
+    kinds = get_args(model.model_fields["kind"].annotation)
+    fields = {name: HOSTILE[rng.integers(len(HOSTILE))] for name in model.model_fields if rng.random() < 0.9}
+    text = json.dumps(fields | {"kind": kinds[rng.integers(len(kinds))]})
+    at = rng.integers(len(text))
+    return text if rng.random() < 0.8 else text[:at] + chr(rng.integers(32, 0xD7FF)) + text[at + 1 :]
+
+
+def test_random_messages_neither_end_the_session_nor_leave_its_folder(tmp_path):
+    path = tmp_path / "shots" / "drive.toml"
+    path.parent.mkdir()
+    path.write_text(SHOT)
+    rng = np.random.default_rng(20)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            state = await page.until("state", lambda message: message["solved"])
+            for _ in range(300):
+                await page.socket.send(hostile(rng))
+            await page.send(kind="save")
+            await page.until("said", lambda message: "saved" in message["text"])
+            state = await page.until("state", lambda message: message["solved"] or message["problems"])
+            while state["undo"]:
+                await page.send(kind="undo")
+                state = await page.until("state")
+            await page.send(**moved("place", 8.0, 1.2))
+            await page.until("state", lambda now: now["solved"] and now["handles"][1]["place"] == [8, 1.2, 0])
+
+    asyncio.run(asyncio.wait_for(play(), PATIENCE))
+    assert [file.name for file in tmp_path.iterdir()] == ["shots"]
+    known = {"drive.toml", "drive.toml.autosave", "out"}
+    assert all(file.name in known or file.name.startswith("drive.car.") for file in path.parent.iterdir())
 
 
 def test_one_browser_edits_and_the_next_takes_over(path):

@@ -22,7 +22,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from vehsim.errors import InputError, VehsimError
 from vehsim.exporters.web.html import PAGE, page
-from vehsim.live.messages import Compare, Drag, Edit, Message, MoveSticks, TakeControls, kinds_of, parse
+from vehsim.live.messages import Compare, Drag, Edit, Message, MoveSticks, Place, TakeControls, kinds_of, parse
 from vehsim.live.session import Session, Superseded
 from vehsim.runtime.registry import whose_error
 
@@ -66,8 +66,9 @@ class Server:
         self._drawing_water = False
         self._told_motion = False
         self._drag: tuple[Drag, Browser] | None = None
-        self._dragging: Browser | None = None
-        """The browser that holds a handle."""
+        """A drag that is not drawn yet."""
+        self._held: tuple[Drag, Browser] | None = None
+        """The handle that a browser holds, where it was dragged last."""
         self._wake = asyncio.Event()
         self._jobs: list[Job] = []
         self._told = 0.0
@@ -147,9 +148,8 @@ class Server:
             sending.cancel()
             self._browsers.remove(browser)
             self._roles()
-            if self._dragging is browser:  # the others see what was dragged
-                self._drag = self._dragging = None
-                self._queue(Job(partial(self._solve, self._session.solve)))
+            if self._held is not None and self._held[1] is browser:  # closing in a drag releases the handle
+                self._act(Place(**self._held[0].model_dump(exclude={"kind"})))
 
     def _received(self, browser: Browser, text: str | bytes) -> None:
         try:
@@ -162,15 +162,17 @@ class Server:
         if isinstance(message, MoveSticks):
             self._session.move_sticks(message)
         elif isinstance(message, Drag):
-            self._drag = message, browser  # an older one that has not begun is of no use any more
-            self._dragging = browser
+            self._drag = self._held = message, browser  # an older one that has not begun is of no use any more
             if self._session.take is not None:  # a drag needs a solved motion, so it waits for the first
                 self._session.superseded.set()
             self._wake.set()
         else:
-            self._drag = self._dragging = None
-            action = ACTIONS[message.kind]
-            self._queue(Job(partial(self._do, action, message), action.supersedes))
+            self._act(message)
+
+    def _act(self, message: Message) -> None:
+        self._drag = self._held = None
+        action = ACTIONS[message.kind]
+        self._queue(Job(partial(self._do, action, message), action.supersedes))
 
     def _queue(self, job: Job) -> None:
         self._jobs.append(job)
@@ -218,7 +220,7 @@ class Server:
         while True:
             await self._wake.wait()
             self._wake.clear()
-            while self._jobs or self._drag or (self._unfinished and self._dragging is None):
+            while self._jobs or self._drag or (self._unfinished and self._held is None):
                 job = self._jobs.pop(0) if self._jobs else None
                 if not any(one.supersedes for one in self._jobs):
                     self._session.superseded.clear()

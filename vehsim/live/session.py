@@ -66,6 +66,8 @@ VISIBLE = 0.05
 """Distance between a dragged and the solved motion that is reported, m."""
 WAIT = 1.0
 """Time after which a shot that has not been solved is drawn nevertheless, s."""
+EXPORTED = ("usd", "html")
+"""What the page's button exports."""
 SHARE = 0.1
 """Largest share of the time of a solve in which its iterates are drawn."""
 
@@ -298,9 +300,12 @@ class Session:
 
     def export(self) -> Path:
         """Export the solved motion as ``vehsim export`` does; returns its folder. Raises ``InputError``."""
-        if not self.solved or self.take is None:
+        from vehsim.batch.inputs import fingerprint
+
+        if not self.solved or self.take is None or self.shot is None:
             raise InputError("not solved", "fix what the page says, then export")
-        return self.take.export(self.out, to=("usd", "html"), progress=self._draws)
+        report = {**self.take.report, "inputs": fingerprint(self.shot, EXPORTED)}
+        return replace(self.take, report=report).export(self.out, to=EXPORTED, progress=self._draws)
 
     # ------------------------------------------------------------ drag
 
