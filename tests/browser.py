@@ -39,8 +39,12 @@ def opened(page: Path, profile: Path, *flags: str) -> str:
 class Page:
     """A page in a headless browser, driven through its debugging protocol."""
 
-    def __init__(self, socket: Any) -> None:
-        self._socket, self._count = socket, 0
+    def __init__(self, socket: Any, process: subprocess.Popen[bytes]) -> None:
+        self._socket, self._process, self._count = socket, process, 0
+
+    def kill(self) -> None:
+        """End the browser as a crash does: it sends nothing any more."""
+        self._process.kill()
 
     async def call(self, method: str, **parameters: Any) -> Any:
         """One command of the protocol; returns its result."""
@@ -102,7 +106,7 @@ async def at(url: str, profile: Path) -> AsyncIterator[Page]:
 
         page = next(page for page in await asyncio.to_thread(pages) if page["type"] == "page")
         async with connect(page["webSocketDebuggerUrl"], max_size=None, ping_timeout=None) as socket:
-            yield Page(socket)
+            yield Page(socket, process)
     finally:
         process.terminate()
         process.wait(30)

@@ -18,6 +18,8 @@ PLACE = """(() => {
 })()"""
 SOLVED = "document.getElementById('status').textContent.endsWith(': solved')"
 
+OPEN = f"typeof vehsim !== 'undefined' && vehsim.viewer && document.getElementById('message').hidden && {SOLVED}"
+
 
 def written(folder, text):
     """A shot file; skips the test without a browser."""
@@ -31,9 +33,7 @@ def written(folder, text):
 async def opened(path):
     """The page of a served shot, with its solved motion."""
     async with served(path) as address, at(f"http://{address}", path.parent / "profile") as page:
-        await page.until(
-            f"typeof vehsim !== 'undefined' && vehsim.viewer && document.getElementById('message').hidden && {SOLVED}"
-        )
+        await page.until(OPEN)
         yield page
 
 
@@ -74,6 +74,33 @@ def test_a_mark_is_dragged_with_the_mouse(tmp_path):
             await page.until("document.getElementById('do-undo').disabled")
             await page.until(SOLVED)
             assert await page.value("vehsim.viewer.rings[1].position.toArray()") == [8, 1, 0]
+
+    asyncio.run(play())
+
+
+def test_a_browser_that_is_killed_in_a_drag_loses_nothing(tmp_path):
+    """Another browser shows the mark where it was, and undo takes it back."""
+    path = written(tmp_path, SHOT)
+
+    async def play():
+        async with served(path) as address:
+            async with at(f"http://{address}", tmp_path / "first") as page:
+                await page.until(OPEN)
+                x, y = await page.value(PLACE)
+                await page.mouse("Pressed", x, y)
+                for k in range(1, 6):
+                    await page.mouse("Moved", x + 4 * k, y - k)
+                await page.until("document.getElementById('status').textContent.startsWith('dragging')")
+                ring = await page.value("vehsim.viewer.rings[1].position.toArray()")
+                page.kill()
+            async with at(f"http://{address}", tmp_path / "second") as page:
+                await page.until(f"{OPEN} && !document.getElementById('do-undo').disabled")
+                assert ring != [8, 1, 0] and path.read_text() == SHOT
+                kept = await page.value("vehsim.viewer.rings[1].position.toArray()")
+                assert kept == pytest.approx(ring, abs=1e-3)
+                await page.value("document.getElementById('do-undo').click()")
+                await page.until("document.getElementById('do-undo').disabled")
+                await page.until(f"{SOLVED} && vehsim.viewer.rings[1].position.x === 8")
 
     asyncio.run(play())
 

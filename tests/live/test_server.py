@@ -213,6 +213,8 @@ def test_a_browser_that_drags_during_the_first_solve_gets_one_scene_and_a_draft(
 
 
 def test_a_browser_that_comes_after_a_drag_gets_the_scene(path):
+    """The others hear that it was drawn, and the state again when it is."""
+
     async def play():
         async with served(path) as address, browser(address) as first:
             await first.until("state", lambda message: message["solved"])
@@ -222,6 +224,8 @@ def test_a_browser_that_comes_after_a_drag_gets_the_scene(path):
             await first.until("draft")
             async with browser(address) as second:
                 await second.until("scene")
+            await first.until("progress", lambda message: message["text"] == "drawing")
+            await first.until("state")  # which says what the page shows now
 
     asyncio.run(play())
 

@@ -327,6 +327,7 @@ class Server:
         if self._scene is None:
             with suppress(VehsimError, Superseded):
                 self._scene = await self._in_thread(self._session.scene)
+            self._tell(self._session.state)  # else every page goes on to say "drawing"
         if self._scene is not None:
             browser.tell(self._scene)
             if self._water is not None:
