@@ -309,7 +309,7 @@ moved = Usd.Stage.Open(str(out / "layers" / "heli.blocking.usdc"))
 assert max(one.GetNumTimeSamples() for one in moved.GetPrimAtPath("/World/heli").GetAttributes()) == 97
 """,
     "cookbook.md: Get the motion as arrays": """
-assert abs(clip.positions - (0, 0, 30)).max() < 0.05  # it hovers
+assert abs(clip.positions - (0, 0, 30)).max() < 0.3  # it hovers, and finds its lean
 assert between.times.tolist() == np.linspace(0.0, 1.0, 101).tolist()
 assert (vehsim.Clip.load("hover.npz").positions == clip.positions).all()
 """,

@@ -10,6 +10,7 @@ import pytest
 import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
+from vehsim.constants import AIR
 from vehsim.errors import InputError
 from vehsim.planning.explain.bounds import Ball, push_of, slips, strength, thrust_ball
 from vehsim.planning.explain.feasibility import refusals
@@ -79,7 +80,8 @@ def test_the_ball_bound_is_that_of_the_double_integrator():
     helicopter = vehsim.load_vehicle("helicopter")
     ball, still = thrust_ball(helicopter), np.zeros(3)
     draughty = thrust_ball(helicopter, 50.0)
-    assert draughty.radius == pytest.approx(ball.radius + 3.0 * 50**2 / 1900, rel=0.02)
+    across = (3.0 + AIR / 2 * 1.5) * 50**2 + 3.76 * 50  # N, of fuselage and fin, and of the blades' H-force
+    assert draughty.radius == pytest.approx(ball.radius + across / 1900, rel=0.02)
     level = np.sqrt(ball.radius**2 - 9.81**2)
     quickest = 2 * np.sqrt(60 / level)
     for share, ruled in ((0.95, True), (1.02, False)):

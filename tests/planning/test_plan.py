@@ -13,6 +13,7 @@ from vehsim.integrators import Integrator
 from vehsim.lie import SO3xR3
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.request.request import make_request
+from vehsim.planning.trim import leans, trim, upright
 from vehsim.vehicles import Control, Holonomic
 
 REST = (0.0, 0.0, 0.0)
@@ -77,13 +78,14 @@ def test_least_time_is_bang_bang():
     assert plan.duration == pytest.approx(2 * np.sqrt(10 * 8 / 20.0), rel=0.01)
 
 
-def test_plan_meets_its_marks(flight):
+def test_plan_meets_its_marks(flight, helicopter):
     clip = flight.clip
     assert flight.success and flight.defect < 1e-8
     np.testing.assert_allclose(clip.positions[[0, -1]], [(0, 0, 30), (120, 40, 35)], atol=1e-7)
     np.testing.assert_allclose(clip.twists[[0, -1]], 0, atol=1e-7)
-    half = np.deg2rad(20)
-    np.testing.assert_allclose(np.abs(clip.orientations[-1]), np.abs([np.cos(half), 0, 0, np.sin(half)]), atol=1e-7)
+    T = clip.matrices()[-1]
+    assert np.arctan2(T[1, 0], T[0, 0]) == pytest.approx(np.deg2rad(40), abs=1e-7)
+    assert np.arccos(T[2, 2]) == pytest.approx(leans(helicopter), abs=1e-5)
 
 
 def test_free_mark_lands_on_a_whole_frame(flight):
@@ -160,10 +162,8 @@ def test_hold_stands_still(helicopter):
 
 def test_rest_is_in_balance(flight, helicopter):
     """No jump in acceleration where a motion starts or ends: the knot's controls just carry the vehicle."""
-    from vehsim.planning.trim import trim
-
-    np.testing.assert_allclose(flight.clip.controls[0], trim(helicopter, (0.0, 0.0, 0.0)), atol=1e-3)
-    np.testing.assert_allclose(flight.clip.orientations[0], (1, 0, 0, 0), atol=1e-8)
+    np.testing.assert_allclose(flight.clip.controls[0], trim(helicopter, REST), atol=1e-3)
+    np.testing.assert_allclose(flight.clip.orientations[0], upright(helicopter, [0.0])[0], atol=1e-8)
 
 
 def test_speed_limit_holds(helicopter):

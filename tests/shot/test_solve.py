@@ -84,6 +84,35 @@ def test_a_pilot_takes_degrees(small: dict[str, Any]) -> None:
     assert len(shot.solve().clips["car"]) > 12
 
 
+@pytest.mark.parametrize("start", [{}, {"heading": 120, "position": [3, 4, 10]}])
+@pytest.mark.parametrize("wind", [[0.0, 0.0, 0.0], [4.0, -6.0, 0.0]])
+def test_a_simulated_helicopter_starts_in_balance(
+    small: dict[str, Any], start: dict[str, Any], wind: list[float]
+) -> None:
+    """With the controls of its balance, it stays; level, it would slide aside."""
+    from vehsim.planning.trim import steady
+
+    turn = np.radians(start.get("heading", 0))
+    c, s = np.cos(turn), np.sin(turn)
+    felt = (float(c * wind[0] + s * wind[1]), float(c * wind[1] - s * wind[0]), 0.0)
+    heli = load_vehicle("helicopter")
+    balance = dict(zip(heli.control_names, steady(heli, (0.0, 0.0, 0.0), felt).controls, strict=True))
+    degrees = {name: np.degrees(v) if name in ("pitch", "roll") else v for name, v in balance.items()}
+    motion = {"method": "simulate", "duration": 2.0, "commands": [{"frame": 1001, **degrees}], "start": start}
+    small["vehicle"][0] |= {"asset": "helicopter", "motion": motion}
+    small["world"] = {"wind": wind}
+
+    def moved() -> float:
+        return float(np.ptp(Shot.from_dict(small).solve().clips["car"].positions, axis=0).max())
+
+    assert moved() < 1e-3
+    motion["start"] = {
+        "position": start.get("position", [0, 0, 0]),
+        "orientation": [np.cos(turn / 2), 0, 0, np.sin(turn / 2)],
+    }
+    assert moved() > 0.1
+
+
 def test_a_saved_clip_is_used_unchanged(small: dict[str, Any], tmp_path: Path) -> None:
     clip = Shot.from_dict(small).solve().clips["car"]
     clip.save(tmp_path / "drive.npz")

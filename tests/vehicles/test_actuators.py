@@ -110,9 +110,9 @@ def test_bare_models_are_their_bases_without_actuators(name):
         and bare.rig.drives == base.rig.drives
         and bare.name == name
     )
-    assert [replace(c, actuator=Actuator()) for c in base.controls] == [
-        replace(c, actuator=Actuator()) for c in bare.controls
-    ]
+    at_once = [replace(c, actuator=Actuator()) for c in base.controls]
+    others = [a.name for a, b in zip(at_once, bare.controls, strict=True) if a != replace(b, actuator=Actuator())]
+    assert others == (["yaw"] if name == "helicopter_lie" else [])  # that of the papers balances no torque of a rotor
     assert base.actuated
 
 

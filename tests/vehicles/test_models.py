@@ -14,7 +14,7 @@ from vehsim.vehicles.definition.states import flat
 
 def test_helicopter_wrench_is_the_printed_control_matrix():
     """LIE 4.3.1: F(gamma) (u_c, u_psi)."""
-    helicopter = vehsim.load_vehicle("helicopter")
+    helicopter = vehsim.load_vehicle("helicopter_lie")
     d_t, d_r = 1.61, 6.35
     c = ca.SX.sym("c", 4)
     wrench = ca.Function("w", [c], [helicopter.wrench(c)])

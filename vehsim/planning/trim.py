@@ -20,19 +20,27 @@ Array = NDArray[np.float64]
 
 MOST_LEAN = 1.2
 """Largest roll and pitch of a balance, rad."""
+BALANCED = 1e-4
+"""Largest residual of a balance, as a share of the force without controls."""
 DIRECTIONS = 16
 """Headings at which the lean in wind is computed."""
 
 
 @dataclass(frozen=True)
 class Trim:
-    """Steady flight: ``controls`` (c,), ``roll`` and ``pitch`` rad (nose up), and the ``residual`` (n,) of force and
-    torque that the controls' bounds leave, N and N m."""
+    """Steady flight: ``controls`` (c,), ``roll`` and ``pitch`` rad (nose up), the ``residual`` (n,) of force and torque
+    that the controls' bounds leave, N and N m, and the largest of either, ``size``, that acts without controls."""
 
     controls: Array
     roll: float
     pitch: float
     residual: Array
+    size: float = 1.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the controls balance the vehicle."""
+        return bool(np.abs(self.residual).max(initial=0.0) < BALANCED * self.size)
 
 
 def trim(vehicle: Vehicle, wind: tuple[float, ...]) -> Array:
@@ -56,7 +64,7 @@ def steady(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, ...
     controls, lean = found[: len(scale)] * scale, found[len(scale) :]
     roll, pitch = map(float, lean if len(lean) else np.zeros(2))
     residual = np.asarray(law(controls, np.array([roll, pitch]), *air)[0]).ravel()
-    return Trim(controls, roll, pitch, residual)
+    return Trim(controls, roll, pitch, residual, size)
 
 
 @lru_cache(maxsize=16)
@@ -67,7 +75,7 @@ def _balancer(vehicle: Vehicle) -> tuple[ca.Function, ca.Function, dict[str, Arr
     lower = np.array([control.lower for control in vehicle.controls]) / scale
     upper = np.array([control.upper for control in vehicle.controls]) / scale
     law, v, p = _standing(vehicle), ca.SX.sym("v", len(scale)), ca.SX.sym("p", 7)
-    lean = ca.SX.sym("lean", 2 if _flies(vehicle) else 0)
+    lean = ca.SX.sym("lean", 2 if flies(vehicle) else 0)
     tilted = lean if lean.shape[0] else ca.SX.zeros(2)
     missed = ca.sumsqr(law(v * scale, tilted, p[:3], p[3:6])[0] / p[6]) + 1e-12 * (ca.sumsqr(v) + ca.sumsqr(lean))
     options: Any = {"ipopt": {"tol": 1e-12, "print_level": 0, "sb": "yes"}, "print_time": False}
@@ -86,7 +94,7 @@ def upright(vehicle: Vehicle, headings: ArrayLike, wind: ArrayLike = (0.0, 0.0, 
     The lean in wind is found at up to `DIRECTIONS` headings, between which it is interpolated by sines and cosines.
     """
     yaw = np.asarray(headings, float)
-    if not _flies(vehicle):
+    if not flies(vehicle):
         return from_yaw(yaw)
     if not (vehicle.feels_wind and np.any(wind)):
         lean = np.repeat(_lean(vehicle, 0.0, (0.0, 0.0, 0.0))[None], len(yaw), axis=0)
@@ -101,15 +109,15 @@ def upright(vehicle: Vehicle, headings: ArrayLike, wind: ArrayLike = (0.0, 0.0, 
 
 
 def _lean(vehicle: Vehicle, yaw: float, wind: ArrayLike) -> Array:
-    """Roll and pitch, nose up (2,) rad, at rest with a heading in a wind."""
+    """Roll and pitch, nose up (2,) rad, at rest with a heading in a wind; level if no attitude is in balance."""
     c, s, (x, y, z) = np.cos(yaw), np.sin(yaw), np.asarray(wind, float).tolist()
     balance = steady(vehicle, (0.0, 0.0, 0.0), (float(c * x + s * y), float(c * y - s * x), z))
-    return np.array([balance.roll, balance.pitch])
+    return np.array([balance.roll, balance.pitch]) if balance.holds else np.zeros(2)
 
 
 def leans(vehicle: Vehicle) -> float:
     """How far a flying vehicle leans at rest in still air, rad."""
-    if not _flies(vehicle):
+    if not flies(vehicle):
         return 0.0
     balance = steady(vehicle, (0.0, 0.0, 0.0))
     return float(np.hypot(balance.roll, balance.pitch))
@@ -121,7 +129,8 @@ def rests_uncontrolled(vehicle: Vehicle) -> bool:
     return bool(np.abs(np.asarray(force)).max(initial=0.0) < 1e-9)
 
 
-def _flies(vehicle: Vehicle) -> bool:
+def flies(vehicle: Vehicle) -> bool:
+    """Whether the vehicle moves in space, under gravity and without a hull that floats."""
     return bool(vehicle.group.dim == 6 and vehicle.hull is None and getattr(vehicle, "gravity", 0.0))
 
 
@@ -132,7 +141,7 @@ def _standing(vehicle: Vehicle) -> ca.Function:
     c, lean, velocity, wind = (ca.SX.sym("x", n) for n in (len(vehicle.controls), 2, 3, 3))
     still = ca.SX(list(group.identity))
     moving = ca.SX.zeros(d)
-    if _flies(vehicle):
+    if flies(vehicle):
         about = [
             ca.vertcat(ca.cos(a / 2), ca.sin(a / 2) * ca.DM(axis))
             for a, axis in ((lean[0], [1, 0, 0]), (-lean[1], [0, 1, 0]))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.runtime.progress import Progress
     from vehsim.simulation import Mover
-    from vehsim.vehicles import Vehicle
+    from vehsim.vehicles import State, Vehicle
 
 Values = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class ForwardMotion(Table):
             vehicle,
             context.world,
             controls,
-            start=as_state(self.start, vehicle) if self.start.model_fields_set else None,
+            start=self._start(vehicle, context),
             duration=self.seconds(context),
             step=self.step,
             fps=context.fps,
@@ -79,8 +79,16 @@ class ForwardMotion(Table):
         """The same for vehicles that move together, and the duration, s."""
         from vehsim.simulation import Mover
 
-        start = as_state(self.start, vehicle) if self.start.model_fields_set else None
+        start = self._start(vehicle, context)
         return Mover(vehicle, self.controls(vehicle, context), start), self.seconds(context)
+
+    def _start(self, vehicle: Vehicle, context: Context) -> State | None:
+        """The start; None where `vehsim.simulate` chooses it."""
+        from vehsim.planning.trim import flies
+
+        if not (self.start.model_fields_set or flies(vehicle)):
+            return None
+        return as_state(self.start, vehicle, context.world.wind)
 
     def seconds(self, context: Context) -> float:
         """The duration, s."""

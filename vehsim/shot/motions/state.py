@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vehsim.lie.quaternions import conjugate, rotate
 from vehsim.shot.checks import orientation_of
@@ -15,12 +16,18 @@ if TYPE_CHECKING:
     from vehsim.vehicles import State, Vehicle
 
 
-def as_state(start: StartTable, vehicle: Vehicle) -> State:
+def as_state(start: StartTable, vehicle: Vehicle, wind: ArrayLike | None = None) -> State:
+    """The state of a start table. With ``wind`` (3,) m/s, a vehicle that flies and starts at rest leans as in balance
+    unless the table gives its orientation."""
     from vehsim.vehicles import State
 
     orientation = orientation_of(start)
     if orientation is None:
         orientation = np.array([1.0, 0.0, 0.0, 0.0])
+    if wind is not None and start.orientation is None and not np.any([start.velocity, start.spin]):
+        from vehsim.planning.trim import upright
+
+        orientation = upright(vehicle, [np.deg2rad(start.heading or 0.0)], wind)[0]
     velocity = rotate(conjugate(orientation), np.array(start.velocity, float))
     spin = np.deg2rad(start.spin)
     twist = np.array([spin[2], *velocity[:2]]) if is_planar(vehicle) else np.concatenate([spin, velocity])

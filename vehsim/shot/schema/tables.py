@@ -200,7 +200,8 @@ class StartTable(Table):
     position: Place = Field(default=[0.0, 0.0, 0.0])
     """the position of the rig's root, [x, y, z] in m"""
     heading: Heading | None = None
-    """the yaw of the vehicle's nose from world X in degrees, counter-clockwise; default: 0"""
+    """the yaw of the vehicle's nose from world X in degrees, counter-clockwise; default: 0. A vehicle that flies and
+    starts at rest leans as in balance"""
     orientation: Quaternion | None = None
     """instead of heading, a unit quaternion [w, x, y, z], body to world"""
     velocity: Velocity = Field(default=[0.0, 0.0, 0.0])
