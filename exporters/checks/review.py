@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vehsim.audit import MEASURES, PER_FRAME, Scene, Track, track_of_clip
 from vehsim.errors import InputError
@@ -44,15 +44,15 @@ SETTLES = 2.0
 """Seconds before and after rest in which a vehicle settles."""
 
 
-def review(clip: Clip, character: str = NORMAL) -> list[dict[str, Any]]:
-    """What a clip shows beside the envelope of a character, as JSON data: one row per quantity.
+def review(clip: Clip, wind: ArrayLike = (0.0, 0.0, 0.0), character: str = NORMAL) -> list[dict[str, Any]]:
+    """What a clip in a ``wind`` (3,) m/s shows beside the envelope of a character, as JSON data: one row per quantity.
 
     ``name``, ``unit``, ``worst`` and its ``frame``, the ``envelope`` (None: there is none) and its ``source``,
     ``inside`` (None without envelope), and a ``curve``: frames and values. SI units, radians.
     """
     track, vehicle = track_of_clip(clip), clip.vehicle
     rows = []
-    for name, unit, values, trait in _curves(track, vehicle):
+    for name, unit, values, trait in _curves(track, vehicle, np.asarray(wind, float)):
         known = np.flatnonzero(np.isfinite(values))
         if not len(known):
             continue
@@ -95,8 +95,8 @@ def outside(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def shown(value: float, unit: str) -> str:
-    """A value in the user's units: degrees and per cent."""
-    factor, name = (100.0, "%") if unit == "share" else in_degrees(unit)
+    """A value in the user's units: degrees, per cent and kilowatts."""
+    factor, name = {"share": (100.0, "%"), "W": (1e-3, "kW")}.get(unit) or in_degrees(unit)
     return f"{factor * value:.3g} {name}".rstrip()
 
 
@@ -109,7 +109,7 @@ class _Curve(NamedTuple):
     trait: Trait | None
 
 
-def _curves(track: Track, vehicle: Any) -> Iterator[_Curve]:
+def _curves(track: Track, vehicle: Any, wind: Array) -> Iterator[_Curve]:
     """Every quantity that the motion shows."""
     planar, traits = {"planar": vehicle.group.planar}, vehicle.character
 
@@ -123,6 +123,8 @@ def _curves(track: Track, vehicle: Any) -> Iterator[_Curve]:
     yield reviewed("settling", _settling(track))
     if track.controls is None or not len(vehicle.controls):
         return
+    if (power := _power(track, vehicle, wind)) is not None:
+        yield reviewed("power", power)
     rates = [MEASURES["control_rate"](track, {"control": k}, Scene()) for k in range(len(vehicle.controls))]
     for control, rate in zip(vehicle.controls, rates, strict=True):
         trait, actuator = traits.control_rates.get(control.name), control.actuator
@@ -156,12 +158,35 @@ def _jerk(track: Track) -> Array:
 def _slip(track: Track, vehicle: Any) -> Array:
     """Angle between the nose or tail and the velocity of the body's origin, such as a car's rear axle, seen from above,
     rad; nan below 1 m/s."""
-    origin = track.rotations @ np.asarray((0.0, 0.0, 0.0) if vehicle.rig is None else vehicle.rig.origin)
-    nose, velocities = track.rotations[:, :2, 0], track.velocities + np.cross(track.omegas, origin)
+    nose, velocities = track.rotations[:, :2, 0], _rotated(track.rotations, _at_origin(track, vehicle))
     ahead = np.sum(nose * velocities[:, :2], axis=1)
     aside = nose[:, 0] * velocities[:, 1] - nose[:, 1] * velocities[:, 0]
     angle = np.arctan2(np.abs(aside), np.abs(ahead))
     return np.where(np.hypot(ahead, aside) > MOVES, angle, np.nan)
+
+
+def _at_origin(track: Track, vehicle: Any, wind: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+    """Velocities of the body's origin relative to the air (n, 3) m/s, body axes."""
+    relative = _rotated(track.rotations.transpose(0, 2, 1), track.velocities - np.asarray(wind))
+    return np.asarray(relative + np.cross(track.omegas, vehicle.origin))
+
+
+def _rotated(rotations: Array, vectors: Array) -> Array:
+    """``rotations`` (n, 3, 3) applied to ``vectors`` (n, 3)."""
+    return np.einsum("nij,nj->ni", rotations, vectors)
+
+
+def _power(track: Track, vehicle: Any, wind: Array) -> Array | None:
+    """Power at the shafts of the rotors (n,) W; None if the vehicle does not state it."""
+    import casadi as ca
+
+    law = getattr(vehicle, "power", None)
+    if law is None or track.controls is None:
+        return None
+    air, c = ca.SX.sym("air", 6), ca.SX.sym("c", len(vehicle.controls))
+    power = ca.Function("power", [air, c], [law(air, c)])
+    airs = np.hstack([track.omegas, _at_origin(track, vehicle, wind)])
+    return np.asarray(power.map(len(airs))(airs.T, track.controls.T)).ravel()
 
 
 def _rests(track: Track) -> NDArray[np.intp]:

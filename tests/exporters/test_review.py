@@ -155,3 +155,43 @@ def test_a_folder_without_a_review_is_refused(tmp_path: Path, capsys: pytest.Cap
     (tmp_path / "report.json").write_text('{"shot": "x", "fps": "24", "vehicles": {"car": {}}}')
     assert cli.run(["review", str(tmp_path), "--out", str(tmp_path / "a")]) == 2
     assert not (tmp_path / "a").exists()
+
+
+def test_power_is_that_of_the_rotors_in_the_air_that_they_meet() -> None:
+    """Hover by momentum theory; the same motion through the air has the same power, with any heading and wind."""
+    heli = vehsim.load_vehicle("helicopter")
+    n = 3
+    thrust, tail = 1900 * 9.81, 1105.0
+
+    def worst(speed: float, wind: Any, heading: float = 0.0) -> float:
+        t, z = np.linspace(0.0, 1.0, n), np.zeros(n)
+        turn = np.tile([math.cos(heading / 2), 0, 0, math.sin(heading / 2)], (n, 1))
+        positions = np.column_stack([speed * math.cos(heading) * t, speed * math.sin(heading) * t, z])
+        controls = np.tile([thrust, tail, 0.0, 0.0], (n, 1))
+        twists, none = np.tile([0.0, 0, 0, speed, 0, 0], (n, 1)), np.zeros((n, 0))
+        clip = Clip(heli, t, positions, turn, twists, none, none, controls, {}, Fraction(24))
+        (found,) = (row for row in review(clip, wind) if row["name"] == "power")
+        assert shown(found["worst"], found["unit"]).endswith(" kW") and found["inside"] is True
+        return float(found["worst"])
+
+    def hover(force: float, radius: float, speed: float, solidity: float) -> float:
+        disc, air = math.pi * radius**2, 1.225
+        return 1.15 * force**1.5 / math.sqrt(2 * air * disc) + 0.01 * solidity / 8 * air * disc * (speed * radius) ** 3
+
+    still = hover(thrust, 5.35, 40.8, 0.0625) + hover(tail, 0.93, 218.0, 0.13)
+    assert worst(0.0, (0, 0, 0)) == pytest.approx(still, rel=2e-3)
+    assert worst(10.0, (0, 10, 0), math.pi / 2) == pytest.approx(still, rel=2e-3)
+    assert worst(10.0, (0, 0, 0), 1.0) == pytest.approx(worst(0.0, (-10, 0, 0)), rel=1e-4)
+    assert worst(10.0, (0, 0, 0)) < 0.95 * still
+
+
+def test_slip_and_power_are_of_the_bodys_origin() -> None:
+    """A body that rolls about its rig's root moves aside at its origin above it, whatever its heading."""
+    heli = vehsim.load_vehicle("helicopter")
+    rate, speed, t = 0.5, 4.0, np.linspace(0.0, 0.01, 3)
+    for heading in (0.0, 1.3):
+        turn = np.tile([math.cos(heading / 2), 0, 0, math.sin(heading / 2)], (3, 1))
+        twists = np.tile([rate, 0, 0, speed, 0, 0], (3, 1))
+        none, controls = np.zeros((3, 0)), np.tile([18639.0, 1105.0, 0, 0], (3, 1))
+        clip = Clip(heli, t, np.zeros((3, 3)), turn, twists, none, none, controls, {}, Fraction(24))
+        assert row(clip, "slip")["worst"] == pytest.approx(math.atan(rate * heli.origin[2] / speed), rel=1e-3)

@@ -184,10 +184,10 @@ def test_later_marks_move_with_one_that_is_too_early(tmp_path):
 
 def test_the_frame_that_the_planner_found_is_offered(tmp_path):
     """The check's bounds do not refuse this flight, but its actuators are too slow for it."""
-    text = SHOT.replace('"car"', '"helicopter"').replace("segments = 8", "segments = 16").replace("1073", "1121")
+    text = SHOT.replace('"car"', '"helicopter"').replace("segments = 8", "segments = 16").replace("1073", "1113")
     text = text.replace("[0, 0, 0]\nheading", "[0, 0, 30]\nheading").replace("[8, 1, 0]", "[60, 10, 30]")
     _, fixes = too_hurried(tmp_path, text)
-    assert 1121 < fixes["vehicle[0].motion.mark[1].frame"] < 1145 and len(fixes) == 1
+    assert 1113 < fixes["vehicle[0].motion.mark[1].frame"] < 1145 and len(fixes) == 1
 
 
 def fixed(folder, text):

@@ -49,7 +49,8 @@ def traits(vehicle: str) -> str:
     text = "| | calm | normal | brisk | unit | source |\n|---|---|---|---|---|---|\n"
     for name, unit, trait in rows:
         factor, shown = in_degrees(unit)
-        values = " | ".join(f"{factor * value:.4g}" for value in (trait.calm, trait.normal, trait.brisk))
+        all_three = (factor * trait.calm, factor * trait.normal, factor * trait.brisk)
+        values = " | ".join(f"{value:.4g}" if value < 1e4 else f"{value:.0f}" for value in all_three)
         text += f"| {name} | {values} | {shown} | {trait.source} |\n"
     return text
 

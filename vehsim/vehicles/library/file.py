@@ -146,7 +146,7 @@ class CharacterTable(Table):
     control_rates: dict[str, TraitTable] = Field(default={})
     """the greatest rates of controls by name, in their units per second"""
     review: dict[Reviewed, TraitTable] = Field(default={})
-    """what a review compares besides: jerk, slip, saturation, reversals, settling and ease, in SI units"""
+    """what a review compares besides: jerk, slip, saturation, reversals, settling, ease and power, in SI units"""
 
 
 class VehicleFile(Table):
