@@ -113,6 +113,27 @@ def test_a_simulated_helicopter_starts_in_balance(
     assert moved() > 0.1
 
 
+def test_a_motion_that_can_be_continued_has_the_same_content(small: dict[str, Any]) -> None:
+    """What continues a simulation is no part of it; a motion from the cache lacks it."""
+    small["world"] = {"terrain": "flat", "contact": {}}
+    small["vehicle"][0] |= {
+        "asset": "helicopter",
+        "motion": {
+            "method": "simulate",
+            "duration": 0.2,
+            "start": {"position": [0, 0, 1]},
+            "commands": [{"frame": 1001, "collective": 0}],
+        },
+    }
+    take = Shot.from_dict(small).solve()
+    clip = take.clips["car"]
+    assert clip.ending is not None
+    bare = dataclasses.replace(take, clips={"car": dataclasses.replace(clip, ending=None)})
+    assert take.content_hash == bare.content_hash
+    moved = dataclasses.replace(clip, positions=clip.positions + 1e-9)
+    assert dataclasses.replace(take, clips={"car": moved}).content_hash != take.content_hash
+
+
 def test_a_saved_clip_is_used_unchanged(small: dict[str, Any], tmp_path: Path) -> None:
     clip = Shot.from_dict(small).solve().clips["car"]
     clip.save(tmp_path / "drive.npz")

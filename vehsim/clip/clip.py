@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from io import BytesIO
 from pathlib import Path
@@ -38,10 +38,10 @@ class Clip(Samples):
     channel name -> (n,), rad or m, unwrapped. Sample k is frame ``start_frame + times[k] * fps``. ``events``: for
     example contacts; ``energy``: name -> (n,) J. ``commands``: what the actuators of the ``controls`` followed, control
     name -> (n,); empty if a motion was not made from commands. ``ending``: what `vehsim.simulate` needs to continue it;
-    it is not saved.
+    it is neither saved nor part of the motion.
     """
 
-    ending: Any = None
+    ending: Any = field(default=None, compare=False)
 
     def at(self, times: Any) -> Clip:
         """The clip at any times (m,) s, through its interpolant: C1 in the pose, exact at the knots.

@@ -200,13 +200,14 @@ def export_clip(clip: Clip, path: Path, to: str | Sequence[str] | None = None) -
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Add a value to a hash: arrays by their bytes, tables and dataclasses by their fields, vehicles by their name."""
+    """Add a value to a hash: arrays by their bytes, tables by their items, dataclasses by the fields that are compared,
+    vehicles by their name."""
     if hasattr(value, "tobytes"):
         digest.update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
     elif isinstance(value, Mapping):
         _feed(digest, sorted(value.items()))
     elif is_dataclass(value):
-        for part in fields(value):
+        for part in filter(lambda part: part.compare, fields(value)):
             inner = getattr(value, part.name)
             _feed(digest, inner.name if part.name == "vehicle" else inner)
     elif isinstance(value, list | tuple):
