@@ -146,6 +146,30 @@ def test_edits_of_other_prims_are_named(delivery: Path, tmp_path: Path, capsys: 
     )
 
 
+@pytest.mark.parametrize("moved", [False, True])
+def test_only_edits_beyond_the_motion_are_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], moved: bool
+) -> None:
+    """The car stands from frame 1097 on: its delivered curves, which go on to the last frame, are no edit."""
+    from pxr import Usd
+
+    (tmp_path / "shot.toml").write_text(SHOT.replace('name = "drive"', 'name = "drive"\nend_frame = 1121'))
+    assert cli.run(["export", str(tmp_path / "shot.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    stage = over(tmp_path / "out" / "drive", tmp_path / "edited.usda", "exact")
+    assert isinstance(stage, Usd.Stage)
+    track = stage.GetPrimAtPath(PRIM).GetAttribute("xformOp:translate")
+    for frame, place in [(frame, track.Get(frame)) for frame in range(1001, 1122)]:
+        track.Set(place + (type(place)(0, 0.1, 0) if moved and frame >= 1110 else type(place)()), frame)
+    stage.GetRootLayer().Save()
+    capsys.readouterr()
+    edit = ["--edit", str(tmp_path / "edited.usda"), "--out", str(tmp_path / "new"), "--log", "json"]
+    assert cli.run(["retouch", str(tmp_path / "out" / "drive"), *edit]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    said = [event["message"] for event in events if event["event"] == "warning" and "beyond" in event["message"]]
+    place = "car: the edit moves in frames 1110 to 1121, beyond the motion, which goes from 1001 to 1097"
+    assert said == ([f"{place}; they are ignored"] if moved else [])
+
+
 def test_a_refused_retouch_is_an_event_with_its_problem(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["retouch", str(tmp_path), "--edit", "edited.usda", "--out", str(tmp_path), "--log", "json"]
     assert cli.run(arguments) == cli.WRONG_INPUT

@@ -103,7 +103,7 @@ class EditTable(Table):
         for ask in marks:
             if any(ask["first"] <= last and ask["last"] >= first for first, last in made.touched):
                 ask["severity"] = "warning"
-        _warn(name, made, edited.frames, clip)
+        _warn(name, made, _beyond(edited, clip), clip)
         _warn_of_parts(name, parts)
         details = {
             "touched": made.touched,
@@ -141,7 +141,19 @@ def _warn_of_parts(name: str, parts: Sequence[Moved]) -> None:
         )
 
 
-def _warn(name: str, made: Retouch, frames: Any, clip: Clip) -> None:
+def _beyond(edited: Blocking, clip: Clip) -> list[float]:
+    """Frames outside the motion in which the edit moves; a delivered vehicle stands still there."""
+    from vehsim.planning.retouch import MOVED, TURNED
+
+    inside = np.clip(edited.frames, max(clip.start_frame, edited.frames[0]), min(clip.end_frame, edited.frames[-1]))
+    k = (inside - edited.frames[0]).astype(int)
+    moved = np.linalg.norm(edited.positions - edited.positions[k], axis=1) > MOVED
+    # the trace of a rotation by an angle is 1 + 2 cos(angle)
+    turned = np.einsum("nij,nij->n", edited.rotations, edited.rotations[k]) < 1 + 2 * np.cos(TURNED)
+    return [float(frame) for frame in edited.frames[(moved | turned) & (inside != edited.frames)]]
+
+
+def _warn(name: str, made: Retouch, beyond: Sequence[float], clip: Clip) -> None:
     """Warn of an edit without effect, and of what it cannot reach."""
     if made.lifted:
         spans = ", ".join(f"{first} to {last}" for first, last in made.lifted[:NAMED])
@@ -153,12 +165,11 @@ def _warn(name: str, made: Retouch, frames: Any, clip: Clip) -> None:
         )
     elif not made.touched:
         warnings.warn(f"{name}: the edit changes nothing: its curves are those of the solved motion", stacklevel=2)
-    beyond = [frame for frame in frames if not clip.start_frame <= frame <= clip.end_frame]
     if beyond:
         ends = f"{clip.start_frame} to {clip.end_frame}"
         warnings.warn(
-            f"{name}: the edit has frames {beyond[0]:g} to {beyond[-1]:g} beyond the motion, which goes from {ends}; "
-            "they are ignored",
+            f"{name}: the edit moves in frames {beyond[0]:g} to {beyond[-1]:g}, beyond the motion, which goes from "
+            f"{ends}; they are ignored",
             stacklevel=2,
         )
     misses = sorted(made.misses(), key=lambda miss: -miss["metres"])
