@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vehsim.errors import InputError, SolveError
-from vehsim.integrators.environment import Combined, Environment
+from vehsim.integrators.environment import SPACING, Combined, Environment, Spaced
 from vehsim.integrators.forced import Forced
 from vehsim.integrators.integrator import Integrator
 from vehsim.lie import SE3
@@ -52,6 +52,43 @@ def test_second_order(parts):
     errors = [np.linalg.norm(end(n, *parts) - fine) for n in (30, 60, 120)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.2)
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.2)
+
+
+class Counted(Combined):
+    """Parts that need only one evaluation per ``spacing`` s; ``asked``: how often they were evaluated."""
+
+    def __init__(self, spacing, *parts):
+        super().__init__(parts)
+        self.max_step, self.asked = spacing / SPACING, 0
+
+    def wrench(self, t, state, controls):
+        self.asked += 1
+        return super().wrench(t, state, controls)
+
+
+class Sinking(Environment):
+    """An added mass that grows."""
+
+    def wrench(self, t, state, controls):
+        return np.zeros(6)
+
+    def added_inertia(self, t, state):
+        return (1 + t) * np.diag([0.5, 0.5, 0.5, 2.0, 2.0, 2.0])
+
+
+@pytest.mark.parametrize("parts", [(Spring(),), (Spring(), Sinking())], ids=["plain", "added mass"])
+def test_evaluations_farther_apart_than_steps_keep_the_order(parts):
+    fine, errors = end(2400, *parts), []
+    for n in (30, 60, 120):
+        counted = Counted(1.5 / n, *parts)
+        errors.append(np.linalg.norm(end(2400, Spaced(counted)) - fine))
+        assert counted.asked <= n + 2
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.3)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.3)
+
+
+def test_steps_longer_than_the_spacing_are_as_without_it():
+    assert np.array_equal(end(30, Spaced(Counted(1.5 / 60, Spring(), Heavy()))), end(30, Spring(), Heavy()))
 
 
 def test_predictions_are_not_steps():

@@ -158,6 +158,22 @@ def test_a_body_at_rest_wakes_when_it_is_touched(block):
     assert event["time"] == pytest.approx(1.0 + 0.6, abs=5e-3) and event["speed"] == pytest.approx(1.0, rel=1e-2)
 
 
+def test_a_boat_on_a_beach_rests_until_it_is_touched(block):
+    """Its keel stops on the sand, its stern afloat; a ram wakes it and pushes it along."""
+    x = np.arange(-60.0, 61.0, 2.0)
+    beach = Terrain("beach", np.tile(0.1 * (x - 10), (len(x), 1)), (-60, -60), (2, 2))
+    contact, boat = Contact(0.6, 0.1, 1.5), vehsim.load_vehicle("boat")
+    begin = State(position=(5.0, -3.0, 0.3), twist=(0, 0, 0, 0, 1.5, 0))
+    ram = vehsim.simulate(block(gravity=0.0), None, None, begin, duration=1.3, step=1 / 24)
+    world = World(beach, water=0.0, contact=contact, obstacles=[moving("ram", replace(ram, start_frame=1037))])
+    start = State(position=(4.8, 0, 0), twist=(0, 0, 0, 0.5, 0, 0))
+    clip = vehsim.simulate(boat, world, (0.0, 0.0), start, duration=2.75, step=1 / 24)
+    touch = next(event["time"] for event in clip.events if event["with"] == "ram")
+    resting = (clip.times > 1.6) & (clip.times < touch)
+    assert resting.sum() > 10 and not clip.twists[resting].any()
+    assert clip.positions[-1, 1] > 0.3 and clip.twists[-1, 4] > 1.0
+
+
 def test_depth_stays_below_two_centimetres_in_any_landing(block):
     """Corner, edge and face first at 20 m/s, a frame every sixtieth of a second: measured by MuJoCo's contacts."""
     from scipy.spatial.transform import Rotation

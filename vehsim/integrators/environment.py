@@ -66,6 +66,66 @@ class Nothing(Environment):
         return np.zeros(self._size)
 
 
+SPACING = 1 / 16
+"""Time between two evaluations of a `Spaced` environment, over its own longest step."""
+
+
+class Spaced(Environment):
+    """A smooth environment beside contact, whose steps are far shorter than it needs, such as water.
+
+    It is evaluated every `SPACING` of its own longest step; in between, its wrench and added mass continue linearly, so
+    that the order of integration stays. Longer steps, and steps that do not advance, evaluate it as usual.
+    """
+
+    CARRIED = ("_time", "_due", "_now", "_rate")
+
+    def __init__(self, part: Environment):
+        self.part, self.max_step = part, part.max_step
+        self._time, self._due = np.inf, -np.inf
+        self._now: tuple[Array, Array | None] = np.zeros(0), None
+        self._rate: tuple[Array, Array | None] = self._now
+
+    @property
+    def next_step(self) -> float:  # type: ignore[override]
+        return self.part.next_step
+
+    @property
+    def settled(self) -> bool:  # type: ignore[override]
+        return self.part.settled
+
+    def wrench(self, t: float, state: State, controls: Array) -> Array:
+        if not self._time < t < self._due:
+            self._evaluate(t, state, controls)
+        return self._now[0] + (t - self._time) * self._rate[0]
+
+    def added_inertia(self, t: float, state: State) -> Array | None:
+        added, rate = self._now[1], self._rate[1]
+        return added if added is None or rate is None else added + (t - self._time) * rate
+
+    def events(self) -> list[dict[str, Any]]:
+        return self.part.events()
+
+    def memory(self) -> Any:
+        return {"own": carried(self), "part": self.part.memory()}
+
+    def recall(self, memory: Any) -> None:
+        carry_on(self, memory["own"])
+        self.part.recall(memory["part"])
+
+    def _evaluate(self, t: float, state: State, controls: Array) -> None:
+        elapsed, (before, added_before) = t - self._time, self._now
+        wrench = np.asarray(self.part.wrench(t, state, controls), float)
+        added = self.part.added_inertia(t, state)
+        self._time, self._now = t, (wrench, added)
+        self._due = t + SPACING * min(self.part.max_step, self.part.next_step)
+        if not 0 < elapsed < np.inf:
+            self._rate = np.zeros_like(wrench), None
+        elif added is None or added_before is None:
+            self._rate = (wrench - before) / elapsed, None
+        else:
+            self._rate = (wrench - before) / elapsed, (added - added_before) / elapsed
+
+
 class Combined(Environment):
     """Several environments as one: wrenches and added masses add up; the shortest step applies."""
 

@@ -149,13 +149,14 @@ class World:
         Contact is included only if the vehicle is ``alone``: vehicles that touch each other share one
         `vehsim.world.contact.ContactScene`. ``start_time``: the time at which ``t`` is 0, s since frame 0.
         """
-        from vehsim.integrators.environment import Combined
+        from vehsim.integrators.environment import Combined, Spaced
 
         parts: list[Environment] = []
         if self.water is not None and vehicle.hull is not None:
             from vehsim.world.water.buoyancy import Afloat
 
-            parts.append(Afloat(vehicle, self))
+            afloat = Afloat(vehicle, self)
+            parts.append(afloat if alone and self.contact is None else Spaced(afloat))
         elif self.gusts is not None and getattr(vehicle, "drag", None) is not None:
             from vehsim.world.wind import Gusty
 

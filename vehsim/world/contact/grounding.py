@@ -8,6 +8,7 @@ docs/derivations.md).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -43,10 +44,13 @@ class Underside:
 
         shapes = [ConvexHull(hull) for hull in hulls]
         self.terrain, self.corners = terrain, np.concatenate(hulls)
-        self.planes = [np.unique(shape.equations.round(9), axis=0) for shape in shapes]
+        planes = [np.unique(shape.equations.round(9), axis=0) for shape in shapes]
+        bounds = np.cumsum([0, *map(len, planes)])
+        self.planes, self._hulls = np.concatenate(planes), list(pairwise(bounds))
         ends = [np.unique(np.sort(s.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0) for s in shapes]
         before = np.cumsum([0, *map(len, hulls[:-1])])
         self.edges = np.concatenate([pairs + first for pairs, first in zip(ends, before, strict=True)])
+        self._lengths = np.linalg.norm(np.diff(self.corners[self.edges], axis=1)[:, 0], axis=1)
 
     def on(self, R_wb: Array, position: Array) -> tuple[float, Points | None]:
         """A lower bound of the distance from the body to the ground, m, at most `REACH`; and the overlap."""
@@ -61,11 +65,11 @@ class Underside:
         gap = max(float((corners[:, 2] - ground).min()), 0.0)
         along = [np.abs(np.diff(heights, axis=1 - i)).max(initial=0.0) / terrain.cell[i] for i in range(2)]
         steepest = float(np.hypot(*along))
-        ends = corners[self.edges]
-        long = np.hypot(*(ends[:, 1, :2] - ends[:, 0, :2]).T)
         # the ground between two ends is at most as high as their mean plus a rise at the steepest slope
-        near = ends[:, :, 2].min(axis=1) - ground[self.edges].mean(axis=1) - steepest * long / 2 < gap + TOUCH
-        places, directions, lines = _crossings(terrain, ends[near])
+        start, end = self.edges.T
+        highest = (ground[start] + ground[end] + steepest * self._lengths) / 2
+        near = np.minimum(corners[start, 2], corners[end, 2]) - highest < gap + TOUCH
+        places, directions, lines = _crossings(terrain, corners[self.edges[near]])
         depths, deep = ground - corners[:, 2], terrain.height(places[:, :2]) - places[:, 2]
         gap = -float(max(depths.max(), deep.max(initial=-np.inf)))
         under, below = depths > TOUCH, deep > TOUCH
@@ -75,14 +79,15 @@ class Underside:
         if below.any():
             found.append(_from_edges(terrain, places[below], directions[below], lines[below], deep[below]))
         peaks = _peaks(terrain, low - max(gap, 0.0), high)
-        local = (peaks - position) @ R_wb
-        for planes in self.planes:
-            outside = local @ planes[:, :3].T + planes[:, 3]
-            face = outside.argmax(axis=1)
-            far = outside.max(axis=1, initial=-np.inf)
-            gap = min(gap, float(far.min(initial=np.inf)))
-            inside = far < -TOUCH
-            found.append(Points(-far[inside], peaks[inside], -planes[face[inside], :3] @ R_wb.T))
+        if len(peaks):
+            outside = (peaks - position) @ R_wb @ self.planes[:, :3].T + self.planes[:, 3]
+            far = np.maximum.reduceat(outside, [first for first, _ in self._hulls], axis=1)
+            gap = min(gap, float(far.min()))
+            for hull in np.flatnonzero((far < -TOUCH).any(axis=0)):
+                first, last = self._hulls[hull]
+                inside = far[:, hull] < -TOUCH
+                face = first + outside[inside, first:last].argmax(axis=1)
+                found.append(Points(-far[inside, hull], peaks[inside], -self.planes[face, :3] @ R_wb.T))
         joined = Points(*(np.concatenate([getattr(f, k) for f in found]) for k in ("depths", "places", "normals")))
         if len(joined.depths):
             return 0.0, joined
