@@ -94,6 +94,18 @@ def test_a_block_on_a_slope(block: Any, first: float) -> None:
     assert moves[: int(0.2 * 240)].all() and not moves[int(1.2 * 240) :].any()
 
 
+def test_a_boat_that_slides_up_a_beach() -> None:
+    """Its water is evaluated less often than its contact, and continues in between."""
+    x = np.arange(-60.0, 61.0, 2.0)
+    beach = Terrain("beach", np.tile(0.1 * (x - 10), (len(x), 1)), (-60, -60), (2, 2))
+    boat, world = vehsim.load_vehicle("boat"), World(beach, water=0.0, contact=Contact(0.4, 0.1, 1.5))
+    start = State(position=(4.8, 0, 0), twist=(0, 0, 0, 1.0, 0, 0))
+    clip = is_the_same(
+        lambda t, after: simulate(boat, world, [0.0, 0.0], start, duration=t, step=1 / 48, after=after), 0.4, 0.5
+    )
+    assert clip.events[0]["time"] < 0.4 and clip.twists[-1, 3] > 0.3
+
+
 def test_boats_that_meet_in_waves_at_a_wall() -> None:
     boat = vehsim.load_vehicle("boat")
     world = World(
