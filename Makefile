@@ -114,7 +114,7 @@ audit-random: setup
 	$(BIN)/python -m tools.audit_random --seeds $(or $(SEEDS),0-999) --out $(or $(OUT),out/audit_random)
 
 hostile-files: setup
-	$(BIN)/python -m tools.hostile_files --seeds $(or $(SEEDS),0-19999) --out $(or $(OUT),out/hostile_files)
+	$(BIN)/python -m tools.hostile_files --seeds $(or $(SEEDS),0-19999) --out $(or $(OUT),out/hostile_files) $(if $(SEEDS),,--page benchmarks/RESULTS.hostile.md)
 
 clean:
 	rm -rf .venv .pythons .blender out site build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

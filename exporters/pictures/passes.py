@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.images import read_frame
 
 SUFFIXES = {"depth": ".tif", "segmentation": ".png", "flow": ".exr", "normals": ".exr"}
@@ -61,9 +62,15 @@ def keep_legend(source: Path, target: Path) -> None:
 
 
 def read_legend(folder: Path) -> dict[str, str]:
-    """``#rrggbb`` -> prim path, of the segmentation in ``folder``; empty if there is none."""
-    legend = folder / LEGEND
-    return dict(json.loads(legend.read_text(encoding="utf-8"))) if legend.is_file() else {}
+    """``#rrggbb`` -> prim path, of the segmentation in ``folder``; empty if there is none. Raises ``InputError``."""
+    file = folder / LEGEND
+    if not file.exists():
+        return {}
+    with reading(file, "legend", "render it again"):
+        legend = json.loads(file.read_text(encoding="utf-8"))
+    if not isinstance(legend, dict) or not all(isinstance(path, str) for path in legend.values()):
+        raise refuse(file, "legend", "not a table of colours and prims", "render it again")
+    return legend
 
 
 def segmentation_of(path: Path, kind: str) -> Path:

@@ -7,6 +7,7 @@ from PIL import Image
 from vehsim.cli.commands import run
 from vehsim.errors import InputError
 from vehsim.exporters.compare.compare import compare_folders, compare_pictures, write_difference
+from vehsim.exporters.pictures.passes import read_legend
 
 
 @pytest.fixture
@@ -126,3 +127,10 @@ def test_a_missing_wheel_is_named_and_not_the_empty_knuckle_above_it(tmp_path, l
         Image.fromarray(shown).save(beside)
     (found,) = compare_folders(tmp_path / "b", tmp_path / "a")
     assert str(found).endswith(named)
+
+
+@pytest.mark.parametrize("text", ["", "null", "[]", "[" * 3000, '{"#000001": 3}'])
+def test_a_broken_legend_is_refused(tmp_path, text):
+    (tmp_path / "legend.json").write_text(text)
+    with pytest.raises(InputError, match=r"legend.json: legend: .*render it again"):
+        read_legend(tmp_path)

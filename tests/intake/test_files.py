@@ -12,6 +12,7 @@ import pytest
 from tools.hostile_files.writers import CUBE, FACES, WRITERS, usda, written, wrong_arrays, wrong_meshes
 from vehsim.errors import InputError, ShotError
 from vehsim.intake.arrays import read_array, read_arrays
+from vehsim.intake.foreign import reason_of
 from vehsim.intake.meshes import read_triangles
 from vehsim.intake.toml import lines_of, read_toml
 from vehsim.intake.usd import dependencies
@@ -184,6 +185,21 @@ def test_foreign_clip_files_are_refused(tmp_path: Path) -> None:
     for path in written(tmp_path, wrong_arrays(("header", "twists"))):
         with pytest.raises(InputError):
             Clip.load(path)
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        ("cannot identify image file <_io.BytesIO object at 0x7fc6dd835530>", "cannot identify image file"),
+        ("cannot identify image file '/a/b.png'", "cannot identify image file '/a/b.png'"),
+        (
+            "\n\tError in 'f' at line 5 in file /a.cpp : 'Used expired prim on stage with rootLayer @a@'",
+            "Used expired prim",
+        ),
+    ],
+)
+def test_reasons_are_for_users(message: str, reason: str) -> None:
+    assert reason_of(ValueError(message)) == reason
 
 
 def test_usd_errors_are_given_without_source_locations(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@
 them. Finished seeds are listed in ``results.jsonl`` and are not run again, so an interrupted run continues. The folders
 of seeds with a finding stay. Findings are: a traceback, an error of vehsim itself, an exit code other than 0, 1 and 2,
 more than 20 s of processor time, a process that died, files outside ``--out``, and a good shot that was not delivered.
+``--page`` writes them by kind of file, as in ``benchmarks/RESULTS.hostile.md``.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.machine import headed
 from tools.seeds import seeds_in
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,6 +29,16 @@ SLOW = 20.0
 """Processor time, s, from which a command counts as hanging."""
 PATIENCE = 300.0
 """Time, s, after which it is ended."""
+PAGE = """# Hostile files, measured
+
+`make hostile-files` gives broken and hostile files, made from seeds, to the commands that a user would give them to. A
+*finding* is a traceback, an error of vehsim itself, an exit code other than 0, 1 and 2, a command that takes more than
+{slow:g} s of CPU time, a process that died, a file outside `--out`, or a good shot of the same command that is not
+delivered. *Accepted* files (exit 0) are those whose damage does no harm, or is reported as a warning. Seeds {seeds}.
+
+| kind of file | cases | accepted | refused | findings | CPU, mean s | 99 % | slowest |
+|---|---|---|---|---|---|---|---|
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("hostile_files"), help="folder of results")
     parser.add_argument("--again", action="store_true", help="run finished seeds again")
     parser.add_argument("--summary", action="store_true", help="only summarise the results")
+    parser.add_argument("--page", type=Path, help="file of Markdown that shows the results by kind")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     results = options.out / "results.jsonl"
@@ -48,8 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if result["findings"]:
                 print(f"{result['seed']}: {'; '.join(result['findings'])} ({', '.join(result['words'])})", flush=True)
     found = {result["seed"]: result for result in read(results)}  # the last of each seed
-    print(summary([found[seed] for seed in seeds if seed in found]))
-    return 1 if any(found[seed]["findings"] for seed in seeds if seed in found) else 0
+    finished = [found[seed] for seed in seeds if seed in found]
+    print(summary(finished))
+    if options.page:
+        options.page.write_text(page(finished, options.seeds), encoding="utf-8")
+    return 1 if any(result["findings"] for result in finished) else 0
 
 
 def read(results: Path) -> list[dict[str, Any]]:
@@ -90,6 +106,30 @@ def summary(results: Sequence[dict[str, Any]]) -> str:
     lines.append("Exit codes: " + ", ".join(f"{code}: {count}" for code, count in sorted(exits.items())) + ".")
     lines.append(f"Longest, processor seconds: {', '.join(f'{seconds:.1f}' for seconds in slow)}.")
     return "\n".join([*lines, *(f"{finding}: {count}" for finding, count in found.most_common())])
+
+
+def page(results: Sequence[dict[str, Any]], seeds: str) -> str:
+    """The results in Markdown: a row for each kind of file, one for all, and every finding."""
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for result in results:
+        kinds.setdefault(result["words"][0] if result["words"] else "unknown", []).append(result)
+    rows = [_row(kind, kinds[kind]) for kind in sorted(kinds)]
+    lines = [
+        *rows,
+        _row("**all**", results),
+        "",
+        *(f"- {r['seed']}: {'; '.join(r['findings'])}" for r in results if r["findings"]),
+    ]
+    return headed(PAGE.format(slow=SLOW, seeds=seeds) + "\n".join(lines).rstrip() + "\n")
+
+
+def _row(kind: str, results: Sequence[dict[str, Any]]) -> str:
+    accepted, found = (
+        sum(map(bool, values)) for values in zip(*((r["exit"] == 0, r["findings"]) for r in results), strict=True)
+    )
+    seconds = sorted(r["seconds"] for r in results)
+    times = f"{sum(seconds) / len(seconds):.2f} | {seconds[int(0.99 * (len(seconds) - 1))]:.1f} | {seconds[-1]:.1f}"
+    return f"| {kind} | {len(results)} | {accepted} | {len(results) - accepted} | {found} | {times} |"
 
 
 if __name__ == "__main__":

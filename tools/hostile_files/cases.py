@@ -218,6 +218,8 @@ def usdc(text: bytes) -> bytes:
 TEXTURED = b"""#usda 1.0
 (
     defaultPrim = "rig"
+    startTimeCode = 1001
+    endTimeCode = 1004
     metersPerUnit = 1
     upAxis = "Z"
 )
@@ -650,30 +652,23 @@ def terrain_file(case: Case) -> None:
 
 
 def delivered(case: Case) -> None:
-    """A delivery with a broken file in it: audited, rendered, validated."""
+    """A delivery with a broken file in it: audited, reviewed, drawn, validated, or the source of an edit."""
     files = delivery()
     wrong = case.chance.choice(sorted(files))
     case.words.append(wrong)
     for name, content in files.items():
         case.write(f"good/{name}", broken(case, content) if name == wrong else content)
-    use = case.chance.choice(("audit", "audit", "audit", "render", "validate"))
-    case.words.append(use)
-    case.command = {
+    small = ["--size", "32x32", "--frames", "1001", "--quality", "draft"]
+    uses = {
         "audit": ["audit", "good"],
-        "render": [
-            "render",
-            "good/good.usda",
-            "--out",
-            "out",
-            "--size",
-            "32x32",
-            "--frames",
-            "1001",
-            "--quality",
-            "draft",
-        ],
+        "review": ["review", "good"],
+        "render": ["render", "good/good.usda", "--out", "out", *small],
         "validate": ["validate", "good/good.usda"],
-    }[use]
+        "retouch": ["retouch", "good", "--edit", "good/good.usda", "--out", "out", "--to", "npz"],
+    }
+    use = case.chance.choice(list(uses))
+    case.words.append(use)
+    case.command = uses[use]
 
 
 def clip_file(case: Case) -> None:
@@ -690,10 +685,11 @@ def compared(case: Case) -> None:
         "depth/a.depth.1.tif": ("TIFF", "F"),
         "segmentation/a.segmentation.1.png": ("PNG", "RGB"),
     }
+    wrong = chance.choice(list(names))
     for name, (kind, mode) in names.items():
         whole = picture(kind, mode)
-        case.write(f"references/{name}", picture(kind, mode, chance.choice(((40, 30), (20, 30)))))
-        case.write(f"renders/{name}", broken(case, whole))
+        case.write(f"references/{name}", picture(kind, mode, chance.choice(((40, 30), (40, 30), (20, 30)))))
+        case.write(f"renders/{name}", broken(case, whole) if name == wrong else whole)
     if chance.random() < 0.5:
         case.write(
             "renders/segmentation/legend.json",

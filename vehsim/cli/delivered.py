@@ -35,7 +35,7 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     from vehsim.shot.shot import Shot
 
     report = report_of(delivery)
-    name = str(report["shot"])
+    name = report["shot"]
     folder = Path() if source is None else source.parent
     with reading(delivery / "report.json", "report", "export the shot again"):
         data = report["solved"]["shot"] if source is None else read_toml(source)[0]
@@ -62,7 +62,7 @@ def report_of(delivery: Path) -> dict[str, Any]:
         )
     with reading(path, "report", "export the shot again"):
         report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return report
+        return report | {"shot": str(report["shot"])}
 
 
 def prims_in(edit: Path, wanted: dict[str, str]) -> dict[str, str]:

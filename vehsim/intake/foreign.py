@@ -70,7 +70,12 @@ def reading(path: Path | str, key: str, remedy: str = "export the file again") -
 
 
 def reason_of(error: Exception) -> str:
-    """The last line of an error's message; of USD's errors without the place in its sources, and the open stage."""
+    """The last line of an error's message, without what only a programmer can use: addresses of objects, quotes around
+    all of it; in USD's errors the place in its sources, and the open stage."""
     lines = [line for line in str(error).splitlines() if any(map(str.isalnum, line))]
     last = lines[-1] if lines else ""
-    return re.sub(r".* in file \S+ : | on stage with rootLayer .*", "", last).strip(" '")[:300]
+    last = re.sub(
+        r".* in file \S+ : | <[\w.]+ object at 0x\w+>| on stage with rootLayer .*?(?='?\s*$)", "", last
+    ).strip()
+    quoted = re.fullmatch("'(.*)'", last)
+    return (quoted[1] if quoted else last)[:300]
