@@ -98,6 +98,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
         control_names=("lift",),
         rig=rig,
         character=Character(),
+        origin=np.zeros(3),
         group=SE3,
     )
     count = len(t)
