@@ -28,6 +28,7 @@ from vehsim.exporters.usd.stage import Material, Shape, StageReader
 from vehsim.intake.images import read_colours
 from vehsim.lie.quaternions import matrices, quaternions, yaw_of
 from vehsim.planning.request.marks import Gate
+from vehsim.planning.trim import flies
 from vehsim.rig.linkage import part_poses
 from vehsim.shot.world.obstacle_tables import with_vehicles
 
@@ -514,8 +515,13 @@ def _curves(pack: Packing, take: Take, name: str, clip: Clip) -> Iterator[dict[s
     world = with_vehicles(take.world, take.clips, _avoided(take), name)
     if can_hit(clip.vehicle, world):
         table["clearance"] = distances(clip, world), "m", motion.get("clearance"), None
+    released = None if flies(clip.vehicle) else 0.0  # a bound there, such as that of a brake, limits nothing
     table |= {
-        control.name: (values, control.unit, control.lower, control.upper)
+        control.name: (
+            values,
+            control.unit,
+            *(end if end != released else None for end in (control.lower, control.upper)),
+        )
         for control, values in zip(clip.vehicle.controls, clip.controls.T, strict=False)
     }
     for curve, (values, unit, *bounds) in table.items():

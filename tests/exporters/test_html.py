@@ -170,6 +170,18 @@ def test_clearance_is_the_distance_to_what_can_be_hit():
             assert np.allclose(values, wanted[name], atol=2e-3), (name, values, wanted)
 
 
+def test_a_released_brake_is_not_at_a_limit():
+    """The bound of zero limits the lift of a helicopter, but not a brake, which is zero while it is not used."""
+    bounds = {}
+    for name, table in (("rally_car", {}), ("helicopter", {"start": {"position": [0, 0, 30]}})):
+        vehicle = {"name": name, "asset": name, "motion": {"method": "simulate", "duration": 0.25, **table}}
+        take = Shot.from_dict({"shot": {"schema": 1, "name": "s"}, "vehicle": [vehicle]}).solve()
+        for curve in web._curves(web.Packing(), take, name, take.clips[name]):
+            bounds[curve["name"]] = curve["low"], curve["high"]
+    assert bounds["brake"] == bounds["handbrake"] == (None, 8000)
+    assert bounds["drive"] == (-1000, 3500) and bounds["collective"] == (0, 33000)
+
+
 def test_the_page_needs_nothing_else(delivered):
     _, page, _ = delivered
     own = "".join((PAGE / name).read_text() for name in ("page.html", "style.css", "viewer.js"))

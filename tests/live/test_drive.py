@@ -178,6 +178,12 @@ def test_a_stick_gives_balance_in_the_middle_and_bounds_at_the_ends(tmp_path):
         car.move([0, 0, 0])
 
 
+@pytest.mark.parametrize("asset", ["car", "drift_car", "rally_car", "truck", "boat", "snakeboard"])
+def test_sticks_in_the_middle_neither_push_nor_brake(asset):
+    sticks = Sticks(vehsim.load_vehicle(asset), np.zeros(3))
+    assert not sticks.controls(vehsim.State()).any()
+
+
 def test_nothing_is_recorded_in_less_than_a_frame(tmp_path):
     shot = shot_of(tmp_path, "car", STILL)
     with pytest.raises(InputError, match="nothing was recorded"):

@@ -563,6 +563,24 @@ def test_a_browser_that_leaves_in_a_drag_releases_the_mark(path):
     asyncio.run(play())
 
 
+def test_a_session_that_ends_in_a_drag_keeps_it(path):
+    """The next session opens with the mark where it was dragged last, and an edit and a save that waited are done."""
+    autosave = path.with_name("drive.toml.autosave")
+
+    async def play(*messages):
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            for message in messages:
+                await page.send(**message)
+            await page.until("draft" if messages[-1]["kind"] == "drag" else "progress")
+
+    asyncio.run(play(moved("drag", 8.0, 1.2), moved("drag", 8.0, 1.4)))
+    assert path.read_text() == SHOT and "position = [8, 1.4, 0]" in autosave.read_text()
+    asyncio.run(play(moved("place", 9.0, 1.4), {"kind": "add_note", "frame": 1010, "text": "slow"}, {"kind": "save"}))
+    assert not autosave.exists()
+    assert "position = [9.0, 1.4, 0]" in path.read_text() and 'text = "slow"' in path.read_text()
+
+
 def test_the_session_ends_while_its_scene_is_made(path, monkeypatch):
     """Such as that of a boat in a sea, which takes a while; its browser is busy, too."""
     made = []

@@ -64,18 +64,17 @@ class Stopped(Exception):
 class Sticks:
     """Sticks from -1 to 1, one for each control of a vehicle, and the controls that they mean.
 
-    In the middle, a stick gives the control that holds the vehicle in balance; at its ends, the control's bounds. The
-    stick of a control that sets the rate of a joint with limits gives the joint's value instead, so that a released
-    steering wheel returns.
+    In the middle, a stick gives zero, or the control that holds a flying vehicle in balance; at its ends, the
+    control's bounds. The stick of a control that sets the rate of a joint with limits gives the joint's value instead,
+    so that a released steering wheel returns.
     """
 
     def __init__(self, vehicle: Vehicle, wind: Array) -> None:
-        from vehsim.planning.trim import rests_uncontrolled, trim
+        from vehsim.planning.trim import flies, trim
 
         self.vehicle = vehicle
         self.values: Array = np.zeros(len(vehicle.controls))
-        borne = vehicle.hull is not None or rests_uncontrolled(vehicle)
-        self._rest = 0 * self.values if borne else trim(vehicle, (wind[0], wind[1], wind[2]))
+        self._rest = trim(vehicle, (wind[0], wind[1], wind[2])) if flies(vehicle) else 0 * self.values
         scale = np.array([control.scale for control in vehicle.controls])
         self._lower, self._upper = (
             np.array([getattr(control, end) for control in vehicle.controls]) for end in ("lower", "upper")

@@ -92,8 +92,9 @@ class Server:
                     await self._work()
                 finally:
                     self._session.end()  # at once: parting from the browsers takes a while
+                    await self._finish()
         finally:
-            self._thread.shutdown(wait=True, cancel_futures=True)
+            self._thread.shutdown(wait=True)
             self._session.close()
 
     # ------------------------------------------------------------ HTTP
@@ -149,7 +150,7 @@ class Server:
             self._browsers.remove(browser)
             self._roles()
             if self._held is not None and self._held[1] is browser:  # closing in a drag releases the handle
-                self._act(Place(**self._held[0].model_dump(exclude={"kind"})))
+                self._release(self._held[0])
 
     def _received(self, browser: Browser, text: str | bytes) -> None:
         try:
@@ -168,6 +169,10 @@ class Server:
             self._wake.set()
         else:
             self._act(message)
+
+    def _release(self, held: Drag) -> None:
+        """Place a handle where it was dragged last."""
+        self._act(Place(**held.model_dump(exclude={"kind"})))
 
     def _act(self, message: Message) -> None:
         self._drag = self._held = None
@@ -233,6 +238,14 @@ class Server:
                     await self._solve(self._session.solve)
                 else:
                     await self._draw_water()
+
+    async def _finish(self) -> None:
+        """Write what was requested before the session ended, and a drag, into the document; nothing is solved."""
+        if self._held is not None:
+            self._release(self._held[0])
+        for job in self._jobs:
+            with suppress(Superseded):
+                await job.run()
 
     @property
     def _unfinished(self) -> bool:
@@ -351,10 +364,13 @@ class Server:
         self._tell({"kind": "drafted", "seconds": round(monotonic() - began, 4)})
 
     async def _in_thread(self, do: Callable[[], Any]) -> Any:
-        """The result of ``do`` in the solver's thread. An error of vehsim itself must not end the session either."""
+        """The result of ``do`` in the solver's thread. An error of vehsim itself must not end the session either.
+
+        If the session ends first, it is done nevertheless.
+        """
         assert self._loop is not None
         try:
-            return await self._loop.run_in_executor(self._thread, do)
+            return await asyncio.shield(self._loop.run_in_executor(self._thread, do))
         except (VehsimError, Superseded):
             raise
         except OSError as error:
