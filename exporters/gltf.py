@@ -1,7 +1,8 @@
 """The glb exporter: geometry, materials, moving parts and cameras as one glTF 2.0 file, for game engines and the web.
 
 Everything comes from the composed stage. Each moving prim is a node below the moving prim that carries it. Keys are on
-whole frames, or as many between them as linear interpolation needs, so that no wheel turns backwards.
+whole frames, or as many between them as linear interpolation needs, so that no wheel turns backwards. Tyre marks do not
+move: what is made by each frame is a node whose scale steps from 0 to 1.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from numpy.typing import NDArray
 
 from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
+from vehsim.exporters.pictures.tyre_marks import across
 from vehsim.exporters.usd.sampling import slerp_errors
 from vehsim.lie.quaternions import continuous, quaternions
 from vehsim.runtime.progress import Progress
 
 if TYPE_CHECKING:
-    from vehsim.exporters.usd.stage import Material, Shape, StageReader
+    from vehsim.exporters.usd.stage import Material, Ribbon, Shape, StageReader
 
 Array = NDArray[np.float64]
 
@@ -41,7 +43,7 @@ FLOAT, ARRAYS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 def write_glb(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     """Write ``<shot>.glb``: metres, Y up, times in seconds from the first frame; returns the file.
 
-    Warns of what glTF cannot hold: water, tyre marks, and cameras that change their lens.
+    Warns of what glTF cannot hold: water, and cameras that change their lens.
     """
     from vehsim.exporters.usd.stage import StageReader
 
@@ -49,8 +51,6 @@ def write_glb(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     stage = StageReader(folder / f"{take.name}.usda")
     if stage.water is not None:
         warnings.warn(f"{take.name}.glb: the water is left out; glTF has no surface that changes", stacklevel=2)
-    if stage.tyre_marks:
-        warnings.warn(f"{take.name}.glb: tyre marks are left out; glTF has no surface that changes", stacklevel=2)
     frames = take.frames[0] + np.arange((take.frames[1] - take.frames[0]) * FINEST + 1) / FINEST
     poses = [stage.matrices(frame) for frame in frames.tolist()]
     worlds = {group: np.stack([pose[group] for pose in poses]) for group in stage.groups}
@@ -66,6 +66,7 @@ def write_glb(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
     aspect = take.render.size[0] / take.render.size[1]
     for name in stage.cameras:
         _add_camera(file, take.name, stage, name, frames, seconds, aspect)
+    _add_tyre_marks(file, take, stage)
     names = _short_names([node["name"] for node in file.tree["nodes"]])
     for node in file.tree["nodes"]:
         node["name"] = names[node["name"]]
@@ -184,6 +185,44 @@ def _add_camera(
     file.animate(node, seconds, np.stack([view.T_wc for view in views]))
 
 
+def _add_tyre_marks(file: _Glb, take: Take, stage: StageReader) -> None:
+    """Add a node per frame, with what all tyres made since the frame before; it shows from then on."""
+    made: dict[float, list[tuple[Array, Array]]] = {}
+    for ribbon, times in stage.tyre_marks_made():
+        points, colours = _mark_quads(ribbon)
+        for frame in np.unique(times[1:]).tolist():
+            rows = times[1:] == frame  # a piece of the ribbon is there when its second row is
+            made.setdefault(frame, []).append((points[rows].reshape(-1, 3), colours[rows].reshape(-1, 4)))
+    if not made:
+        return
+    materials = file.tree["materials"]
+    rough = {"metallicFactor": 0.0, "roughnessFactor": 0.85}
+    materials.append(
+        {"name": "tyre_marks", "pbrMetallicRoughness": rough, "alphaMode": "BLEND", "doubleSided": True},
+    )
+    for frame, parts in sorted(made.items()):
+        points, colours = (np.concatenate(each) for each in zip(*parts, strict=True))
+        name = f"/{take.name}/env/tyre_marks_{frame:g}"
+        node = file.add_triangles(name, points, colours, len(materials) - 1)
+        file.node(f"/{take.name}").setdefault("children", []).append(node)
+        if frame > take.frames[0]:
+            file.show_from(node, (frame - take.frames[0]) / float(take.fps))
+
+
+def _mark_quads(ribbon: Ribbon) -> tuple[Array, Array]:
+    """Corners (k - 1, c, 3) m of the triangles between a ribbon's rows, and their linear colours with opacity
+    (k - 1, c, 4)."""
+    grid, opacity = across(ribbon)
+    colours = np.concatenate([np.broadcast_to(ribbon.colour, grid.shape), opacity[..., None]], axis=-1)
+
+    def triangles(each: Array) -> Array:
+        a, b, c, d = each[:-1, :-1], each[:-1, 1:], each[1:, 1:], each[1:, :-1]
+        corners = np.stack([a, b, c, a, c, d], axis=2)  # the way runs along, left to right: the front is above
+        return corners.reshape(len(corners), -1, each.shape[-1])
+
+    return triangles(grid), triangles(colours)
+
+
 class _Glb:
     """A GLB file: its ``tree`` of JSON, and binary arrays that are appended to it."""
 
@@ -209,16 +248,32 @@ class _Glb:
         values = {"translation": places, "rotation": np.roll(q, -1, axis=1)}
         if not any(moves.values()):
             return
-        (animation,) = self.tree.setdefault("animations", [{"name": "shot", "samplers": [], "channels": []}])
-        key = rows.tobytes()
-        if key not in self._times:
-            self._times[key] = self._append(seconds[rows], bounds=True)
         for path, moving in moves.items():
             if moving:
-                sampler = {"input": self._times[key], "output": self._append(values[path][rows])}
-                animation["samplers"].append({**sampler, "interpolation": "LINEAR"})
-                target = {"node": self.tree["nodes"].index(node), "path": path}
-                animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+                self._add_channel(self.tree["nodes"].index(node), path, "LINEAR", seconds[rows], values[path][rows])
+
+    def add_triangles(self, name: str, points: Array, colours: Array, material: int) -> int:
+        """Add a node with triangles: corners (n, 3) m, and their linear colours with opacity (n, 4); returns its
+        number."""
+        attributes = {"POSITION": self._append(points, bounds=True), "COLOR_0": self._append(colours)}
+        self.tree["meshes"].append({"name": name, "primitives": [{"attributes": attributes, "material": material}]})
+        self.tree["nodes"].append({"name": name, "mesh": len(self.tree["meshes"]) - 1})
+        return len(self.tree["nodes"]) - 1
+
+    def show_from(self, node: int, seconds: float) -> None:
+        """Hide a node until ``seconds``: by glTF, what is scaled to 0 need not be drawn."""
+        self._add_channel(node, "scale", "STEP", np.array([0.0, seconds]), np.array([[0.0] * 3, [1.0] * 3]))
+
+    def _add_channel(self, node: int, path: str, interpolation: str, seconds: Array, values: Array) -> None:
+        """Animate a property of a node: ``values`` (n, m) at ``seconds`` (n,)."""
+        (animation,) = self.tree.setdefault("animations", [{"name": "shot", "samplers": [], "channels": []}])
+        key = seconds.tobytes()
+        if key not in self._times:
+            self._times[key] = self._append(seconds, bounds=True)
+        sampler = {"input": self._times[key], "output": self._append(values), "interpolation": interpolation}
+        animation["samplers"].append(sampler)
+        target = {"node": node, "path": path}
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
 
     def _append(self, values: Array, bounds: bool = False) -> int:
         """Add an array (n,) or (n, m) of floats; returns the number of its accessor."""
@@ -230,7 +285,7 @@ class _Glb:
         self._arrays += block.tobytes()
         view = len(self.tree["bufferViews"]) - 1
         accessor = {"bufferView": view, "componentType": FLOAT, "count": len(rows), "type": ARRAYS[rows.shape[1]]}
-        if bounds:  # glTF requires them of times
+        if bounds:  # glTF requires them of times and points
             accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
         self.tree["accessors"].append(accessor)
         return len(self.tree["accessors"]) - 1

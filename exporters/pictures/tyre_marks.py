@@ -57,15 +57,20 @@ def draw_tyre_marks(ribbons: Sequence[Ribbon], eye: Array, haze: tuple[float, fl
             GL.glEnable(state)
 
 
+def across(ribbon: Ribbon) -> tuple[Array, Array]:
+    """Vertices (k, 4, 3) m of a ribbon, from the left to the right end of its rows, and their opacity (k, 4)."""
+    left, right = ribbon.rows[:, :1], ribbon.rows[:, 1:]
+    opacity = ribbon.opacity[:, :1] + ACROSS * (ribbon.opacity[:, 1:] - ribbon.opacity[:, :1])
+    return left + ACROSS[:, None] * (right - left), FULL * opacity
+
+
 def strip(ribbon: Ribbon, eye: Array, haze: tuple[float, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Corners (n, 3) m of a ribbon's quads, and the share of the light (n, 3) that it leaves there."""
-    left, right = ribbon.rows[:, :1], ribbon.rows[:, 1:]
-    grid = left + ACROSS[:, None] * (right - left)
+    grid, opacity = across(ribbon)
     distance = np.linalg.norm(grid - eye, axis=-1)
     clear = np.clip((haze[1] - distance) / (haze[1] - haze[0]), 0, 1)
-    opacity = FULL * (ribbon.opacity[:, :1] + ACROSS * (ribbon.opacity[:, 1:] - ribbon.opacity[:, :1])) * clear
     shade = np.minimum(to_srgb(ribbon.colour) / to_srgb(GROUND), 1.0)
-    light = 1 - opacity[..., None] * (1 - shade)
+    light = 1 - (clear * opacity)[..., None] * (1 - shade)
     quads = [(slice(0, -1), k) for k in range(3)]
     corners = [
         np.stack([each[a, k], each[a, k + 1], each[1:, k + 1], each[1:, k]], axis=1)

@@ -9,6 +9,7 @@ import json
 import os
 import struct
 import subprocess
+import warnings
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -77,6 +78,23 @@ class Read:
         matrices[:, :3, :3] = Rotation.from_quat(parts["rotation"]).as_matrix()
         matrices[:, :3, 3] = parts["translation"]
         return matrices
+
+    def shown(self, name, seconds):
+        """Whether a node has its full size; a channel of its scale steps between 0 and 1."""
+        for channel in self.tree["animations"][0]["channels"]:
+            if channel["target"] == {"node": self.index[name], "path": "scale"}:
+                sampler = self.tree["animations"][0]["samplers"][channel["sampler"]]
+                assert sampler["interpolation"] == "STEP"
+                times, values = self.array(sampler["input"]), self.array(sampler["output"])
+                assert values.tolist() == [[0] * 3, [1] * 3]
+                return bool(seconds >= times[1] - 1e-6)
+        return True
+
+    def triangles(self, name):
+        """Corners (n, 3, 3) and colours (n, 3, 4) of a mesh without indices."""
+        (primitive,) = self.tree["meshes"][self.tree["nodes"][self.index[name]]["mesh"]]["primitives"]
+        points, colours = (self.array(primitive["attributes"][key]) for key in ("POSITION", "COLOR_0"))
+        return points.reshape(-1, 3, 3), colours.reshape(-1, 3, 4)
 
     def world(self, name, seconds):
         index = self.index[name]
@@ -201,6 +219,46 @@ print("SAYS" + json.dumps(found))
     places = at.matrices()[:, :3, :3] @ (-1.3, -0.77, 0.32) + at.positions
     off = np.linalg.norm(found[:, :3, 3] - places, axis=1)
     assert min(off.max(), np.linalg.norm(found[8:, :3, 3] - places[:-8], axis=1).max()) < 4e-3
+
+
+def test_tyre_marks_show_from_the_frame_on_which_they_are_made(tmp_path):
+    from tests.exporters.test_tyre_marks import LEVEL, TYRE, braked, exported
+    from vehsim.delivery.take import Take
+    from vehsim.exporters.usd.scenery.tyre_marks import ABOVE, LOOKS
+
+    clip = braked()
+    exported(tmp_path, clip)
+    frames = (1001, int(clip.end_frame))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (path,) = write_glb(Take("shot", {"car": clip}, LEVEL, (), Fraction(24), frames), tmp_path, lambda *_: None)
+    read = Read(path)
+    at = clip.at((np.arange(1001, frames[1] + 1) - clip.start_frame) / 24)
+    hubs = {y: at.positions[:, 0] + x for x in (1.3, -1.3) for y in (0.77, -0.77)}
+    starts = [clip.positions[0, 0] + x for x in (1.3, -1.3)]
+    names = [name for name in read.index if name.startswith("tyre_marks_")]
+    assert len(names) > 20
+    (root,) = {read.parent[read.index[name]] for name in names}
+    assert np.array_equal(read.local(root, [0.0])[0, :3, :3], Y_UP), "marks are Z up, below the node that turns them"
+    for k, frame in enumerate(range(1001, frames[1] + 1)):
+        shown = [name for name in names if read.shown(name, (frame - 1001) / 24)]
+        assert shown == [name for name in names if int(name.rpartition("_")[2]) <= frame]
+        if not shown or at.twists[k, 1] < 1.0:  # in its last centimetres a tyre hardly slides
+            continue
+        corners = np.concatenate([read.triangles(name)[0] for name in shown])
+        assert np.abs(corners[..., 2] - ABOVE).max() < 1e-6
+        for y, x in hubs.items():
+            own = corners[np.abs(corners[:, 0, 1] - y) < 0.2]
+            ends = own[..., 0].min(), own[..., 0].max()
+            assert ends == pytest.approx((min(starts), x[k] + 2.6), abs=0.02), "from its start up to the tyre"
+            normal = np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0])
+            assert normal[:, 2].min() > 0, "its front is above"
+            ways = [(start, start + x[k] - x[0]) for start in starts]  # of the rear and of the front tyre
+            assert normal[:, 2].sum() / 2 == pytest.approx(TYRE * sum(b - a for a, b in ways), rel=0.02)
+    colours = np.concatenate([read.triangles(name)[1] for name in names])
+    look = LOOKS["asphalt"]
+    assert np.abs(colours[..., :3] - look.colour).max() < 1e-7
+    assert colours[..., 3].min() == 0 and colours[..., 3].max() == pytest.approx(look.opacity, rel=1e-5)
 
 
 PAGE = """<!doctype html><meta charset="utf-8"><body><script>{three}</script><script>
