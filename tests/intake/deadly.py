@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,14 @@ import numpy as np
 
 def crashes(path: Path) -> Any:
     ctypes.string_at(0)
+
+
+def leaves_a_trace(path: Path, crash: bool) -> Any:
+    """As USD does when it crashes."""
+    Path(tempfile.gettempdir(), "st_python").write_bytes(b"trace")
+    if crash:
+        crashes(path)
+    return {"process": os.getpid(), "folder": tempfile.gettempdir()}, []
 
 
 def aborts(path: Path) -> Any:

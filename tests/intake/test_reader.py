@@ -126,13 +126,43 @@ def test_the_reader_ends_with_its_parent(file: Path) -> None:
         "print(p, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    process = int(done.stdout)
+    wait_for_the_end_of(int(done.stdout))
+
+
+def wait_for_the_end_of(process: int) -> None:
     for _ in range(500):
         state = Path(f"/proc/{process}/stat")
         if not state.exists() or ") Z" in state.read_text():
             return
         threading.Event().wait(0.02)
     pytest.fail("it is still there")
+
+
+FORK = "if os.fork(): os.wait(); sys.exit(not os.path.isdir(answer['folder']))"
+
+
+@pytest.mark.parametrize("end", ["sys.exit()", "os.kill(os.getpid(), 9)", FORK])
+def test_temporary_files_of_libraries_are_removed(file: Path, tmp_path: Path, end: str) -> None:
+    """After a crash at once, and when the process ends, is killed, or has a fork that reads."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    program = (
+        f"import os, sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import deadly; from pathlib import Path\n"
+        "from vehsim.errors import InputError; from vehsim.intake.reader import read_in_process\n"
+        "def read(crash): return read_in_process(deadly.leaves_a_trace, Path(sys.argv[1]), 'key', crash)\n"
+        "try: read(True)\n"
+        "except InputError: left = os.listdir(os.environ['TMPDIR'])\n"
+        f"answer = read(False)[0]; print(*left, answer['process'], flush=True)\n{end}\nread(False)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(file)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"TMPDIR": str(temporary)},
+    )
+    wait_for_the_end_of(int(done.stdout))
+    assert not list(temporary.iterdir()) and done.returncode in (0, -9), done.stderr
 
 
 @pytest.mark.parametrize("variable", LIMITS)

@@ -13,9 +13,11 @@ import io
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -44,7 +46,9 @@ MADE = 2
 PATIENCE = 10.0
 """Time that a file may take, in multiples of the limit for the processor: other programs use the machine too."""
 READY = b"ready"
-PROGRAM = "import sys; sys.path[:] = {}; from vehsim.intake.reader import serve; serve()"
+TEMPORARY = ("TMPDIR", "TEMP", "TMP")
+"""Environment variables that name the folder for temporary files."""
+PROGRAM = "import sys; sys.path[:] = {!r}; from vehsim.intake.reader import serve; serve({!r})"
 
 
 def read_cached(read: Read, path: Path, key: str, *more: Any) -> Answer:
@@ -114,7 +118,8 @@ def _ask(request: dict[str, Any]) -> Answer:
 
 
 class _Process:
-    """The reader process of this interpreter."""
+    """The reader process of this interpreter. It has a temporary folder of its own, which is removed with it: libraries
+    leave files there when they crash."""
 
     at_work = threading.Lock()
     """Held while a file is read: answers come in the order of the questions."""
@@ -124,27 +129,32 @@ class _Process:
         alone = dict.fromkeys(("PXR_WORK_THREAD_LIMIT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         self.made_for = _circumstances()
         self._overdue = False
-        program = [_python(), "-c", PROGRAM.format(repr(sys.path))]
+        program = _python()
+        try:
+            self._folder = tempfile.mkdtemp(prefix="vehsim-reader-")
+        except OSError as error:
+            raise InputError(f"no temporary folder ({error})", "name a folder with free space", key="TMPDIR") from None
         try:
             self._process = subprocess.Popen(
-                program,
+                [program, "-c", PROGRAM.format(sys.path, self._folder)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env=os.environ | alone,
+                env=os.environ | alone | dict.fromkeys(TEMPORARY, self._folder),
             )
             if self._process.stdout is None or self._process.stdout.read(len(READY)) != READY:
                 self.end()
                 raise OSError("it cannot import vehsim")
         except OSError as error:
+            shutil.rmtree(self._folder, ignore_errors=True)
             remedy = "name a Python that can import vehsim with multiprocessing.set_executable"
-            raise InputError(f"cannot read files in another process ({error})", remedy, value=program[0]) from None
+            raise InputError(f"cannot read files in another process ({error})", remedy, value=program) from None
 
     @classmethod
     def current(cls) -> _Process:
         """The running process, or a new one."""
         if cls._kept is None or cls._kept.made_for != _circumstances() or cls._kept._process.poll() is not None:
-            if cls._kept is not None and cls._kept.made_for[0] == os.getpid():
+            if cls._kept is not None:
                 cls._kept.end()
             cls._kept = cls()
             atexit.register(cls._kept.end)
@@ -168,13 +178,16 @@ class _Process:
         self._process.kill()
 
     def end(self) -> None:
-        """End the process; it holds nothing that could be lost."""
+        """End the process, which holds nothing that could be lost. A fork leaves it to the process that started it."""
         atexit.unregister(self.end)
+        if self.made_for[0] != os.getpid():
+            return
         self._process.kill()
         self._process.wait()
         for pipe in filter(None, (self._process.stdin, self._process.stdout)):
             with suppress(OSError):
                 pipe.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def failure(self, path: Path, key: str) -> InputError:
         """The error for the file that it read when it died, by its exit code."""
@@ -209,8 +222,9 @@ def _python() -> str:
 # ---------------------------------------------------------------- in the reader process
 
 
-def serve() -> None:
-    """The reader process: answer questions until there are no more."""
+def serve(folder: str) -> None:
+    """The reader process: answer questions until there are no more, then remove ``folder``, its temporary folder: the
+    main process may have been killed."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the main one handles it
@@ -223,6 +237,7 @@ def serve() -> None:
             for part in _packed(*_answer(json.loads(line))):
                 answers.write(part)
             answers.flush()
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
 
 
