@@ -99,6 +99,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
         rig=rig,
         character=Character(),
         origin=np.zeros(3),
+        hull=None,
         group=SE3,
     )
     count = len(t)
