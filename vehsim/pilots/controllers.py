@@ -29,10 +29,11 @@ from vehsim.errors import InputError
 from vehsim.lie.quaternions import matrices
 from vehsim.pilots.gait import Gait
 from vehsim.pilots.lead import Lead
-from vehsim.pilots.path import Route
+from vehsim.pilots.path import RAMP, Route, Timetable
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles import State, Vehicle
 from vehsim.vehicles.definition.base import Array
+from vehsim.vehicles.definition.character import NORMAL
 
 _TILT = 0.6
 """Largest tilt of a helicopter pilot, rad."""
@@ -56,6 +57,15 @@ _STOP, _BESIDE = 0.25, 0.2
 """Tolerance of a car's root at the end of its path, m, and of its axle's distance from the path, in wheelbases."""
 _DRIVE = (2.0, 0.8)
 """Largest acceleration of a car's pilot, m/s^2, and the share of its torque that it plans with."""
+_BEND = 2.5
+"""Largest acceleration of a car's pilot sideways, m/s^2."""
+_EASE = 2.0
+"""Time over which a car's pilot changes its acceleration if nothing limits the rate of its torque, s."""
+_HANDS = 0.15
+"""Time in which a car's pilot changes the rate of its steering, s; from ``_ROLLS`` m/s on, it uses the full rate."""
+_ROLLS = 1.0
+_PLACES, _SPEEDS = 0.5, 4.0
+"""Feedback of a car's pilot: speed per error of its place, 1/s, and acceleration per error of its speed, 1/s."""
 
 
 class Hover:
@@ -117,6 +127,7 @@ class FlyTo:
         """Clear the memory of an earlier run; simulations call this at their start."""
         self._law.reset()
         self._route: Route | None = None
+        self._times: Timetable | None = None
         self._heading: float | None = None
         self._fast = 0.0
 
@@ -126,24 +137,26 @@ class FlyTo:
         A start faster than ``speed`` is slowed down first, at a tenth of gravity.
         """
         settling = 2.0 * self._law.ease
-        needs = {} if self._route is None else {"needs": self._route.duration + settling}
+        needs = {} if self._times is None else {"needs": self._times.duration + settling}
         found = [_reach(self.waypoints[-1], _PLACE) | needs]
         begin = self._fast / (0.1 * GRAVITY) + settling if self._fast else 0.0
         found.append({"key": "pilot.speed", "kind": "speed", "upper": _FASTER * self.speed, "from": begin})
         return found + ([] if self.heading is None else [_face(self.heading)])
 
     def __call__(self, t: float, state: State) -> Array:
-        if self._route is None:
+        if self._route is None or self._times is None:
             self._begin = t
             start = np.asarray(state.position, float)
             points = np.vstack([start, self.waypoints])
             self._route = Route(
                 points, _CRUISE * self.speed, acceleration=0.1 * GRAVITY, lateral=0.2 * GRAVITY, ease=self._law.ease
             )
+            self._times = self._route.timetable()
             moving = 0.0 if state.twist is None else float(np.linalg.norm(np.asarray(state.twist, float)[3:6]))
             self._fast = max(0.0, moving - self.speed)
-        position, velocity, _ = self._route.at(t - self._begin)
-        _, then, acceleration = self._route.at(t - self._begin + self._law.lag)  # the vehicle has to tilt first
+        since = t - self._begin
+        position, velocity, _ = self._route.at(*self._times.at(since))
+        _, then, acceleration = self._route.at(*self._times.at(since + self._law.lag))  # the vehicle has to tilt first
         acceleration = acceleration - self._law.drag(_matrix(state.orientation), then)
         heading = self.heading
         if heading is None:
@@ -157,8 +170,8 @@ class FlyTo:
 class FollowPath:
     """Drives a car's rear axle along the smooth curve through ``points`` (n, 2) m; its root stops at the last one.
 
-    ``speed`` m/s along the path, less in bends (2.5 m/s^2 sideways). Pure pursuit with a rate-limited steering wheel.
-    The car may start anywhere near the first point.
+    ``speed`` m/s along the path, less in bends (2.5 m/s^2 sideways). Pure pursuit. Steering and torque change at most
+    as fast as in the vehicle's character ``normal``. The car may start anywhere near the first point.
     """
 
     def __init__(self, vehicle: Vehicle, points: Any, speed: float = 8.0):
@@ -174,18 +187,26 @@ class FollowPath:
         self.vehicle, self.points, self.speed = vehicle, points, _positive("speed", speed)
         self._offset = vehicle.origin[:2]
         self._length, self._per_torque = _car_numbers(vehicle)
-        torque = vehicle.controls[vehicle.control_names.index("torque")]
+        torque, steering = (vehicle.controls[vehicle.control_names.index(n)] for n in ("torque", "steering_rate"))
         most = _DRIVE[1] * min(torque.upper, -torque.lower) * self._per_torque(0.0)
         self._acceleration = min(_DRIVE[0], most)
-        self._jerk = torque.actuator.rate * self._per_torque(0.0) / 2
-        self._route = Route(points, self.speed, acceleration=self._acceleration, lateral=2.5)
+        traits = vehicle.character
+        rates = [torque.actuator.rate / 2] + [t.of(NORMAL) for n, t in traits.control_rates.items() if n == "torque"]
+        self._foot = min(rates)
+        jerk = self._foot * self._per_torque(0.0)
+        ease = 2 * self._acceleration / (1 - RAMP) / jerk if np.isfinite(jerk) else _EASE
+        angles = [t.of(NORMAL) for n, t in traits.limits.items() if n == "steering_rate"]
+        self._hands = min([steering.upper, -steering.lower, *angles])
+        self._route = Route(points, self.speed, acceleration=self._acceleration, lateral=_BEND, ease=ease)
         self._lead = Lead(vehicle)
         self.reset()
 
     def reset(self) -> None:
         """Clear the memory of an earlier run; simulations call this at their start."""
-        self._along, self._integral, self._wanted = 0.0, 0.0, 0.0
-        self._time: float | None = None
+        self._along, self._place, self._integral, self._turning = 0.0, 0.0, 0.0, 0.0
+        self._torque: float | None = None
+        self._begin, self._time = 0.0, 0.0
+        self._times: Timetable | None = None
         self._fast, self._away = 0.0, 0.0
         self._lead.reset()
 
@@ -202,7 +223,7 @@ class FollowPath:
         slows = 0.0 if self._fast <= 0 else self._fast / self._acceleration + 2.0
         behind = self._route.point(0.0) - 3 * self._tail()
         return [
-            _reach(end, _STOP) | {"needs": self._route.duration + 3.0 + joins},
+            _reach(end, _STOP) | ({} if self._times is None else {"needs": self._times.duration + 1.0 + joins}),
             {"key": "pilot.speed", "kind": "speed", "upper": 1.05 * self.speed, "from": slows},
             {
                 "key": "pilot.path",
@@ -218,47 +239,49 @@ class FollowPath:
         rotation = _matrix(state.orientation)[:2, :2]
         axle = np.asarray(state.position, float)[:2] + rotation @ self._offset
         speed = float(state.twist[1]) if state.twist is not None else 0.0
-        if self._time is None:
-            self._wanted, self._fast = speed, speed - self.speed
+        root = np.asarray(state.position, float)[:2]
+        if self._times is None:
             before = self._route.point(0.0) - np.outer(np.linspace(3, 0, 40), self._tail())
             self._away = float(np.linalg.norm(np.vstack([before, self._route.places(0.1)]) - axle, axis=1).min())
-        dt = 0.0 if self._time is None else t - self._time
-        self._time = t
+            self._fast = speed - self.speed
+            self._place = self._route.nearest(root, 0.0, reach=self._route.length)
+            self._times = self._route.timetable(self._place, max(speed, 0.0))
+            self._begin = self._time = t
+        dt, self._time = t - self._time, t
         sigma = float(state.joints[self.vehicle.joints.index("sigma")]) if state.joints is not None else 0.0
-        self._along = self._route.nearest(axle, self._along, reach=2.0 + 4 * abs(speed) * max(dt, 1 / 240))
-        torque, steering = self._drive(dt, speed, sigma), self._steer(axle, rotation, speed, sigma)
-        controls = {"steering_rate": steering, "torque": torque}
+        reach = 2.0 + 4 * abs(speed) * max(dt, 1 / 240)
+        self._along = self._route.nearest(axle, self._along, reach)
+        self._place = self._route.nearest(root, self._place, reach)
+        torque = self._drive(dt, self._times.at(t - self._begin), speed, sigma)
+        controls = {"steering_rate": self._steer(dt, axle, rotation, speed, sigma), "torque": torque}
         return self._lead(t, np.array([controls[name] for name in self.vehicle.control_names]))
 
     def _tail(self) -> Array:
         """From the axle to the root, (2,) m, for a car that stands at the first point, aligned with the path."""
         return float(np.linalg.norm(self._offset)) * self._route.direction()
 
-    def _steer(self, axle: Array, rotation: Array, speed: float, sigma: float) -> float:
+    def _steer(self, dt: float, axle: Array, rotation: Array, speed: float, sigma: float) -> float:
         """Pure pursuit: the arc through a point one look-ahead ahead has curvature ``2 y / d^2``."""
         ahead = self._length + 0.6 * abs(speed)
         aim = rotation.T @ (self._route.point(self._along + ahead) - axle)
         wanted = self._length * 2 * aim[1] / max(aim @ aim, 1e-6)
         lower, upper = self.vehicle.joint_limits.get("sigma", (-1.0, 1.0))
-        control = self.vehicle.controls[self.vehicle.control_names.index("steering_rate")]
-        rate = 6.0 * (np.clip(wanted, lower, upper) - sigma)
-        return float(np.clip(rate, control.lower, control.upper))
+        most = self._hands * (1 + sigma**2) * min(abs(speed) / _ROLLS, 1.0)
+        rate = np.clip(6.0 * (np.clip(wanted, lower, upper) - sigma), -most, most)
+        self._turning += (1 - np.exp(-dt / _HANDS)) * (float(rate) - self._turning)
+        return self._turning
 
-    def _drive(self, dt: float, speed: float, sigma: float) -> float:
-        # the rig's root, which is ahead of the axle, has to stop at the end
-        wanted, change = self._route.speed(self._along - self._offset[0])
-        push = change * speed
-        gain = float(np.sqrt(2 * self._jerk * max(wanted - self._wanted, 1e-9)))  # the torque can then fade in time
-        most = min(self._acceleration, gain)
-        if wanted > self._wanted + most * dt:  # while accelerating: not faster than planned
-            wanted, push = self._wanted + most * dt, most
-        self._wanted = wanted
-        error = wanted - speed
+    def _drive(self, dt: float, planned: tuple[float, float, float], speed: float, sigma: float) -> float:
+        place, wanted, push = planned
+        error = wanted + _PLACES * (place - self._place) - speed
         control = self.vehicle.controls[self.vehicle.control_names.index("torque")]
-        torque = (push + 4.0 * error + self._integral) / self._per_torque(sigma)
-        if control.lower < torque < control.upper:  # no integrator wind-up at the bounds
-            self._integral += 4.0 * error * dt
-        return float(np.clip(torque, control.lower, control.upper))
+        torque = (push + _SPEEDS * error + self._integral) / self._per_torque(sigma)
+        before = torque if self._torque is None else self._torque
+        lower, upper = max(control.lower, before - self._foot * dt), min(control.upper, before + self._foot * dt)
+        if lower < torque < upper:  # no integrator wind-up at the bounds
+            self._integral += _SPEEDS * error * dt
+        self._torque = float(np.clip(torque, lower, upper))
+        return self._torque
 
 
 class _Helicopter:

@@ -5,15 +5,44 @@ This module holds geometry and timing along a curve; `controllers.py` follows it
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from vehsim.vehicles.definition.base import Array
+
+SAMPLE = 1 / 240
+"""Spacing of the samples of a timetable, s."""
+RAMP = 0.2
+"""Share of the time of an acceleration's change in which its rate rises, and of that in which it falls."""
+
+
+@dataclass(frozen=True)
+class Timetable:
+    """Arc lengths m, speeds m/s and accelerations m/s^2 along a route, each (n,), at every `SAMPLE` since its start."""
+
+    s: Array
+    v: Array
+    a: Array
+
+    @property
+    def duration(self) -> float:
+        """Duration until it rests at the end of the route, s."""
+        return SAMPLE * (len(self.s) - 1)
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Arc length, speed and acceleration at ``t`` s: as at its ends before and after."""
+        k = t / SAMPLE
+        rows = np.arange(len(self.s))
+        s, v, a = (float(np.interp(k, rows, values)) for values in (self.s, self.v, self.a))
+        return s, v, a
 
 
 class Route:
     """A smooth curve through points (n, d), with speeds bounded by acceleration and by bends; it ends at rest.
 
-    ``ease`` s: time over which `at` changes its acceleration, so that a vehicle can follow.
+    ``ease`` s: time over which the acceleration changes. A vehicle slows down for a bend, and speeds up after it, by
+    half of that time earlier and later, so that smooth changes never exceed the speeds of the bends.
     """
 
     def __init__(self, points: Array, speed: float, *, acceleration: float, lateral: float, ease: float = 0.0):
@@ -30,56 +59,46 @@ class Route:
         self._s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
         self._curve = CubicSpline(self._s, dense)
         self.length = float(self._s[-1])
+        self._acceleration, self._ease = acceleration, ease
         bend = np.linalg.norm(self._curve(self._s, 2), axis=1)
         limit = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-9)))
-        limit[-1] = 0.0
-        self._v = self._reachable(limit, acceleration)
-        start = self._v.copy()
-        start[0] = 0.0
-        self._timed = self._reachable(start, acceleration)
-        gaps = np.diff(self._s) / np.maximum((self._timed[1:] + self._timed[:-1]) / 2, 1e-9)
-        self._t = np.concatenate([[0.0], np.cumsum(gaps)])
-        self._ease = max(ease, 1e-3)
-        self._slope = np.diff(self._timed) / gaps
-        parts = gaps * (self._s[:-1] + gaps * (self._timed[:-1] / 2 + gaps * self._slope / 6))
-        self._swept = np.concatenate([[0.0], np.cumsum(parts)])
-        self.duration = float(self._t[-1] + self._ease)
-        """Duration from rest to rest, s."""
+        # the lowest within half of the ease; a vehicle is never earlier than these times
+        times = np.concatenate([[0.0], np.cumsum(2 * np.diff(self._s) / (limit[1:] + limit[:-1]))])
+        first = np.searchsorted(times, times - ease / 2, side="left")
+        last = np.searchsorted(times, times + ease / 2, side="right")
+        self._limit = np.array([limit[i:j].min() for i, j in zip(first, last, strict=True)])
 
-    def _reachable(self, limit: Array, acceleration: float) -> Array:
-        v = limit**2
-        steps = 2 * acceleration * np.diff(self._s)
-        for k in range(len(steps)):
-            v[k + 1] = min(v[k + 1], v[k] + steps[k])
-        for k in range(len(steps) - 1, -1, -1):
-            v[k] = min(v[k], v[k + 1] + steps[k])
-        return np.sqrt(v)
+    def timetable(self, along: float = 0.0, speed: float = 0.0) -> Timetable:
+        """The fastest permitted drive from an arc length m, where the vehicle moves at ``speed`` m/s, to the end.
 
-    def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Position (d,) m, velocity m/s and acceleration m/s^2 at ``t`` s since the start from rest."""
-        # the mean of the profile over the last `ease` seconds: the same length, never faster, continuous acceleration
-        (area, travelled, v), (before, earlier, v0) = self._profile(t), self._profile(t - self._ease)
-        s, rate, change = ((b - a) / self._ease for a, b in ((before, area), (earlier, travelled), (v0, v)))
-        along = self._curve(min(s, self.length), 1)
-        return self._curve(min(s, self.length)), rate * along, change * along + rate**2 * self._curve(s, 2)
+        A vehicle that is too fast there slows down by the permitted acceleration.
+        """
+        # each speed is the mean of those within the last `ease` seconds, so the vehicle is half of that time behind
+        begin = min(along + speed * self._ease / 2, self.length - 1e-6)
+        s = np.concatenate([[begin], self._s[self._s > begin]])
+        v = np.interp(s, self._s, self._limit) ** 2
+        v[0], v[-1] = speed**2, 0.0
+        gain = 2 * self._acceleration * np.diff(s)
+        for k in range(len(gain)):
+            v[k + 1] = min(v[k + 1], v[k] + gain[k])
+        for k in range(len(gain) - 1, -1, -1):
+            v[k] = min(v[k], v[k + 1] + gain[k])
+        v = np.sqrt(np.maximum(v, speed**2 - 2 * self._acceleration * (s - begin)))
+        v[-1] = 0.0
+        times = np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / (v[1:] + v[:-1]))])
+        count = max(round(self._ease / SAMPLE), 1)
+        rows = SAMPLE * np.arange(-count, int(np.ceil(times[-1] / SAMPLE)) + count + 1)
+        rise = np.arange(1, count + 1)
+        weights = np.clip(np.minimum(rise, rise[::-1]) / max(RAMP * count, 1.0), 0.0, 1.0)
+        smooth = np.convolve(np.interp(rows, times, v, left=speed, right=0.0), weights / weights.sum(), "valid")
+        travelled = np.concatenate([[0.0], np.cumsum((smooth[1:] + smooth[:-1]) * SAMPLE / 2)])
+        exact = (self.length - along) / max(float(travelled[-1]), 1e-9)  # of the sampling
+        return Timetable(along + exact * travelled, exact * smooth, np.gradient(exact * smooth, SAMPLE))
 
-    def _profile(self, t: float) -> tuple[float, float, float]:
-        """Integral of the distance, m s, the distance, m, and the speed, m/s, at ``t`` s: at rest before and after."""
-        if t <= 0:
-            return 0.0, 0.0, 0.0
-        beyond = max(t - self._t[-1], 0.0)
-        k = int(np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, len(self._t) - 2))
-        since = min(t, self._t[-1]) - self._t[k]
-        s, v, a = self._s[k], self._timed[k], self._slope[k]
-        area = self._swept[k] + since * (s + since * (v / 2 + since * a / 6)) + beyond * self.length
-        return float(area), float(s + since * (v + since * a / 2)), float(v + since * a) if not beyond else 0.0
-
-    def speed(self, s: float) -> tuple[float, float]:
-        """Speed at an arc length, and its change per metre."""
-        left = max(self.length - s, 0.0)
-        v = min(float(np.interp(s, self._s, self._v)), 2.0 * left)
-        nudge = 1e-3
-        return v, (float(np.interp(s + nudge, self._s, self._v)) - float(np.interp(s, self._s, self._v))) / nudge
+    def at(self, s: float, v: float, a: float) -> tuple[Array, Array, Array]:
+        """Position (d,) m, velocity m/s and acceleration m/s^2 at an arc length, speed and its change."""
+        along = self._curve(s, 1)
+        return self._curve(s), v * along, a * along + v**2 * self._curve(s, 2)
 
     def places(self, spacing: float = 0.5) -> Array:
         """Points (n, d) on the curve at this spacing, m."""
