@@ -121,11 +121,11 @@ def test_manoeuvres_are_listed_and_drawn_with_obstacles(tmp_path):
 
 
 def test_manoeuvres_stay_near_a_limit_throughout(parked):
-    """Start and stop take a fifth of a stage, and in between an input is close to its limit."""
+    """Start and stop take a quarter of a stage, and in between an input is close to its limit."""
     for m in parked:
         for stage in m.steering.stages:
             share = (np.abs(stage.inputs(np.linspace(0, stage.duration, 401))) / [1.5, 0.7]).max(axis=1)
-            assert np.mean(share < 0.1) < 0.12 and np.mean(share) > 0.5, m.label
+            assert np.mean(share < 0.1) < 0.22 and np.mean(share) > 0.5, m.label
 
 
 def test_an_even_pace_does_not_change_the_path():

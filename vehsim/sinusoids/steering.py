@@ -29,13 +29,14 @@ ACCURACY = 1e-6
 
 NOTHING = 1e-9
 """A stage shorter than this, s, consists of round-off only."""
-CRUISE = 45 / 32
-"""Peak rate of the paces below, relative to a mean of 1: start and stop within a fifth of the time."""
+CRUISE = 3315 / 2048
+"""Peak rate of the paces below, relative to a mean of 1: start and stop within a quarter of the time."""
 
 
 def _drive(x: Array) -> tuple[Array, Array]:
-    """Path and rate ``(1 - x^4)^2`` at x in -1..1, with a mean rate of 1."""
-    return CRUISE * (x - 2 * x**5 / 5 + x**9 / 9), CRUISE * (1 - x**4) ** 2
+    """Path and rate ``(1 - x^4)^4`` at x in -1..1, with a mean rate of 1: forces start and end at zero, without
+    rates."""
+    return CRUISE * (x - 4 * x**5 / 5 + 2 * x**9 / 3 - 4 * x**13 / 13 + x**17 / 17), CRUISE * (1 - x**4) ** 4
 
 
 PACES: dict[str, Callable[[Array], tuple[Array, Array]]] = {
@@ -44,7 +45,7 @@ PACES: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "end": _drive,
     "both": lambda t: ((1 + _drive(2 * t - 1)[0]) / 2, _drive(2 * t - 1)[1]),
 }
-"""From the fraction of a stage's time (k,) to the fraction of its path and the rate: C2, at rest at its start, its end
+"""From the fraction of a stage's time (k,) to the fraction of its path and the rate: C4, at rest at its start, its end
 or both."""
 
 
@@ -78,7 +79,7 @@ class Stage:
 
     def peaks(self) -> Array:
         """Largest |input| (m,) over the stage."""
-        return np.abs(self.inputs(np.linspace(0, self.duration, 400 * max(1, self.cycles) + 1))).max(axis=0)
+        return np.abs(self.inputs(np.linspace(0, self.duration, 2000 * max(1, self.cycles) + 1))).max(axis=0)
 
 
 @dataclass(frozen=True, eq=False)

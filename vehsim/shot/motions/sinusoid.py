@@ -31,6 +31,7 @@ from vehsim.shot.schema.tables import (
     Positive,
     Table,
 )
+from vehsim.vehicles.definition.character import DEFAULT, STUNT, CharacterName
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -91,6 +92,9 @@ class SinusoidMotion(Table):
     """the phase at which the slow sinusoid starts, in degrees; default: several are tried"""
     clearance: Annotated[NotNegative, Field(le=1000)] = 0.1
     """the least distance of every body of the vehicle from obstacles, in m"""
+    character: CharacterName = DEFAULT
+    """how fast it steers and how fast its forces change by default: "calm", "normal", "brisk" or "stunt" (as fast as
+    its controls permit)"""
     limits: Annotated[
         dict[str, Positive],
         InSchema(lambda own: table_of(dict.fromkeys([*LIMITS, *FLIGHT_LIMITS], own["additionalProperties"]))),
@@ -279,7 +283,7 @@ class SinusoidMotion(Table):
 
         def timed(chosen: Manoeuvre, seconds: float | None) -> tuple[Manoeuvre, Steering, float] | None:
             try:
-                steering, _ = timed_clip(rig, chosen.steering, seconds, context.fps, frame)
+                steering, _ = timed_clip(rig, chosen.steering, seconds, context.fps, frame, self._traits(rig)[1])
             except SolveError as error:
                 reasons.append(f"{chosen.number}, {chosen.label}: {error}")
                 return None
@@ -317,12 +321,23 @@ class SinusoidMotion(Table):
             heading=float(np.deg2rad(first.heading)),
         )
 
+    def _traits(self, rig: Rigged) -> tuple[dict[str, float], dict[str, float]]:
+        """The character's limits on inputs, and those on the rates of controls, SI."""
+        if self.character == STUNT:
+            return {}, {}
+        traits, inputs = rig.vehicle.character, rig.limits
+        limits = {
+            name: min(trait.of(self.character), inputs[name]) for name, trait in traits.limits.items() if name in inputs
+        }
+        return limits, {name: trait.of(self.character) for name, trait in traits.control_rates.items()}
+
     def _sinusoid_options(self, rig: Rigged) -> SinusoidOptions:
         from vehsim.sinusoids.manoeuvres.options import SinusoidOptions
 
         hops = rig.vehicle.group.dim == 6
         units = LIMITS | FLIGHT_LIMITS
         limits = {_STATES.get(name, name): value * units[name] for name, value in self.limits.items()}
+        limits = self._traits(rig)[0] | limits
         if hops and "l_rate" in limits:
             limits["l_rate"] /= rig.leg_length  # type: ignore[attr-defined]
         amplitude = None if self.amplitude is None else self.amplitude * (np.pi / 180 if hops else 1.0)

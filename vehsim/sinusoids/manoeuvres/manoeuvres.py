@@ -6,9 +6,10 @@ vehicle defines its manoeuvres (`rigs.py`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.world.world import World
 
+PATIENCE = 2.0
+"""How much slower a manoeuvre may become so that its controls change smoothly."""
 TRIALS = 16
 """Maximum number of trials until a manoeuvre is slow enough for the vehicle's controls."""
 
@@ -140,16 +143,22 @@ def rest(m: int, seconds: float) -> Stage:
 
 
 def timed_clip(
-    rig: Rigged, steering: Steering, seconds: float | None, fps: Any, start_frame: int
+    rig: Rigged,
+    steering: Steering,
+    seconds: float | None,
+    fps: Any,
+    start_frame: int,
+    rates: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Steering, Clip]:
     """The steering as a clip within the vehicle's own control bounds, on whole frames.
 
-    ``seconds``: the duration; None: as fast as the bounds permit, rounded up to a frame. Raises ``SolveError`` if the
-    time is too short, with the necessary frames.
+    ``seconds``: the duration; None: as fast as the bounds permit, rounded up to a frame, and up to twice as slow so
+    that controls change as fast as their actuators can and at most at ``rates``, by name, in their unit per second.
+    Raises ``SolveError`` if the time is too short, with the necessary frames.
     """
     if seconds is not None:
         try:
-            return _in_time(rig, steering, seconds, fps, start_frame)
+            return _in_time(rig, steering, seconds, fps, start_frame, None)
         except TooFast as error:
             enough, _ = timed_clip(rig, steering, None, fps, start_frame)
             raise SolveError(
@@ -159,22 +168,28 @@ def timed_clip(
             ) from None
     needed, why = steering.duration, ""
     for _ in range(TRIALS):
+        whole = float(np.ceil(needed * float(fps) - 1e-9)) / float(fps)
+        patient = whole < PATIENCE * steering.duration
         try:
-            return _in_time(rig, steering, float(np.ceil(needed * float(fps) - 1e-9)) / float(fps), fps, start_frame)
+            return _in_time(rig, steering, whole, fps, start_frame, rates if patient else None)
         except TooFast as error:
             needed, why = error.needed, str(error)
+            if patient:
+                needed = min(needed, PATIENCE * steering.duration)
     raise SolveError(
         f"going slower does not help: {why}", "widen the bounds, or take another one", subject=rig.vehicle.name
     )
 
 
-def _in_time(rig: Rigged, steering: Steering, seconds: float, fps: Any, start_frame: int) -> tuple[Steering, Clip]:
+def _in_time(
+    rig: Rigged, steering: Steering, seconds: float, fps: Any, start_frame: int, rates: Mapping[str, float] | None
+) -> tuple[Steering, Clip]:
     """The steering in ``seconds``. Raises `TooFast`."""
     if seconds < steering.duration * (1 - 1e-9):
         raise TooFast("beyond its limits", steering.duration)
     trial = steering.timed(seconds)
     clip = clip_of(trial, rig.vehicle, fps, start_frame, **rig.flight)
-    beyond = _overload(clip)
+    beyond = max(_overload(clip), 1.0 if rates is None else _overspeed(clip, rates))
     if beyond > 1 + 1e-6:
         raise TooFast("beyond its controls' bounds", seconds * beyond)
     return trial, clip
@@ -190,4 +205,15 @@ def _overload(clip: Clip) -> float:
         for value, bound in ((high, control.upper), (-low, -control.lower)):
             if np.isfinite(bound) and bound > 0 and value > bound:
                 factor = max(factor, float(value / bound) ** power)
+    return factor
+
+
+def _overspeed(clip: Clip, rates: Mapping[str, float]) -> float:
+    """Factor by which the clip must be slowed so that its controls change at most at ``rates`` and as fast as their
+    actuators can: those of forces scale with the third power of the pace."""
+    vehicle, factor = clip.vehicle, 1.0
+    changes = np.abs(np.diff(clip.controls, axis=0)).T / np.diff(clip.times)
+    for control, change in zip(vehicle.controls, changes, strict=True):
+        most = min(control.actuator.rate, rates.get(control.name, np.inf))
+        factor = max(factor, float(change.max() / most) ** (1 / 2 if control.name in vehicle.rate_controls else 1 / 3))
     return factor
