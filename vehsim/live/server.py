@@ -370,7 +370,9 @@ class Server:
         """
         assert self._loop is not None
         try:
-            return await asyncio.shield(self._loop.run_in_executor(self._thread, do))
+            doing = self._loop.run_in_executor(self._thread, do)
+            doing.add_done_callback(lambda done: done.cancelled() or done.exception())  # without a reader too
+            return await asyncio.shield(doing)
         except (VehsimError, Superseded):
             raise
         except OSError as error:
