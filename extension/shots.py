@@ -9,8 +9,8 @@ from pathlib import Path
 
 import bpy
 
-CURVES = {"tolerance": 0.001, "angle": 0.05}
-"""How closely the native curves follow the motion, m and degrees."""
+CURVES = {"tolerance": 0.001}
+"""How closely the native curves follow the motion, m."""
 DIGITS = 5
 """Decimals of numbers from Blender, which stores single precision."""
 

@@ -40,6 +40,7 @@ from vehsim.rig.ops import (
     slide_axis,
 )
 from vehsim.rig.ops import open_rig as open_rig
+from vehsim.rig.tolerances import Tolerances, reaches
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -88,13 +89,13 @@ def write_animation(
     units: Units = Z_UP_METRES,
     shutter: tuple[float, float] | None = None,
     thin: float | None = None,
-    curves: tuple[float, float] | None = None,
+    curves: Tolerances | None = None,
 ) -> Path:
     """Write ``clip`` as the animation layer ``path`` of a vehicle called ``name``.
 
     Samples are on whole frames; an open ``shutter`` (frames from, to) adds those for motion blur; ``thin`` (m) omits
-    all samples that linear interpolation between the others replaces; ``curves`` (m, degrees) writes splines within
-    these tolerances instead of samples.
+    all samples that linear interpolation between the others replaces; ``curves`` writes splines within these
+    tolerances instead of samples.
     """
     from pxr import Sdf, Tf
 
@@ -205,10 +206,11 @@ class _Motion:
     def __init__(
         self, clip: Clip, name: str, frames: tuple[int, int], shutter: tuple[float, float] | None, thin: float | None
     ) -> None:
+        assert clip.vehicle.rig is not None
         self.clip, self.name = clip, name
         self.on_whole, self.whole = _on_whole_frames(clip, frames)
         self.shutter = None if shutter is None else Shutter(clip, shutter, (int(self.whole[0]), int(self.whole[-1])))
-        self.reach = _reaches(clip.vehicle.rig) if shutter is not None or thin is not None else {}
+        self.reach = reaches(clip.vehicle.rig) if shutter is not None or thin is not None else {}
         self.few = (
             {} if thin is None else fewest_together(self.whole, self.on_whole, clip.vehicle.rig, self.reach, thin)
         )
@@ -253,7 +255,7 @@ class _Curves:
         clip: Clip,
         frames: tuple[int, int],
         shutter: tuple[float, float] | None,
-        tolerances: tuple[float, float],
+        tolerances: Tolerances,
     ) -> None:
         from pxr import Sdf, Usd
 
@@ -265,7 +267,7 @@ class _Curves:
         first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
         self.frames = instants(first + min(opens, 0.0), last + max(closes, 0.0))
         self.at = clip_at(clip, self.frames)
-        self.distance, self.angle = tolerances[0], np.radians(tolerances[1])
+        self.tolerances = tolerances
 
     def author_pose(self, root: Any, ops: RigOps, units: Units) -> None:
         from pxr import Sdf
@@ -274,13 +276,14 @@ class _Curves:
         order = list(ops.orders[""])
         places = [ops.translate.replace("translate", f"translate{axis}") for axis in "XYZ"]
         for name, curve in zip(
-            places, fit_positions(self.frames, positions, self.distance / units.metres), strict=True
+            places, fit_positions(self.frames, positions, self.tolerances.distance / units.metres), strict=True
         ):
             _author_curve(root, name, curve)
-        turned = fit_rotations(self.frames, q, self.angle)
+        angle = self.tolerances.angle
+        turned = fit_rotations(self.frames, q, angle)
         turns = [ops.orient]
         if turned is None:
-            frames = sampled_frames(self.frames, q, self.angle)
+            frames = sampled_frames(self.frames, q, angle)
             rows = np.searchsorted(self.frames, frames)
             samples(root, ops.orient, Sdf.ValueTypeNames.Quatd, frames, q[rows])
         else:
@@ -292,8 +295,7 @@ class _Curves:
         _author_order(root, [*order[:k], *places, *turns, *order[k + 2 :]])
 
     def author_channel(self, spec: Any, channel: str, op: str, factor: float) -> None:
-        tolerance = self.angle if ":rotate" in op else self.distance
-        values = self.at.channels[channel]
+        values, tolerance = self.at.channels[channel], self.tolerances.channels[channel]
         _author_curve(spec, op, fit(self.frames, values * factor, tolerance * abs(factor)))
 
 
@@ -306,26 +308,6 @@ def _author_curve(prim: Any, name: str, curve: Curve) -> None:
         spec.default = float(curve.values[0])
     else:
         spec.SetSpline(curve.spline())
-
-
-def _reaches(rig: Any) -> dict[str, float]:
-    """Distance, m, of the outermost point from the rig's root ("") and from each channel's axis or pivot."""
-    from vehsim.rig.parts import read_parts
-
-    parts = {part.path: part for part in read_parts(rig.asset, rig.root or None)}
-    clouds = {path: p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3] for path, p in parts.items() if len(p.points)}
-    reaches = {"": max((float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.values()), default=1.0)}
-    for channel, drive in rig.drives.items():
-        below = [c for path, c in clouds.items() if path == drive.prim or path.startswith(f"{drive.prim}/")]
-        if not below:
-            continue
-        cloud = np.concatenate(below)
-        part = parts.get(drive.prim)
-        hub = part.T_rp[:3, 3] if part is not None and drive.pivot is None else (cloud.min(0) + cloud.max(0)) / 2
-        axis = np.eye(3)["XYZ".index(drive.op[-1])] if part is None else part.T_rp[:3, "XYZ".index(drive.op[-1])]
-        off = cloud - hub
-        reaches[channel] = float(np.linalg.norm(off - (off @ axis)[:, None] * axis, axis=1).max())
-    return reaches
 
 
 def _wrapped(rig: Rig, root: Any) -> list[tuple[str, Any]]:

@@ -29,6 +29,8 @@ LOCK = np.radians(10.0)
 """Least distance of the middle rotation from gimbal lock, rad; closer to it, orientations are sampled."""
 COMFORT = np.radians(30.0)
 """A distance from gimbal lock at which the usual order, heading, pitch, roll, is kept."""
+DAMPING = 1e-6
+"""Share of the trace of the normal equations that is added to their diagonal: for a straight line they are singular."""
 WIDTHS = (0.03, 0.9)
 """Least and largest width of a tangent, in lengths of its segment. Those of a segment add up to one length at most:
 some tools shorten longer ones."""
@@ -104,6 +106,8 @@ def fit(frames: Array, values: Array, tolerance: float) -> Curve:
     for stop in _standstills(values):
         while keys[-1] < stop:
             end, tangents = _farthest(values[: stop + 1], slopes, keys[-1], tolerance)
+            if not _fits(values[keys[-1] : end + 1], tangents, tolerance):  # between the probes
+                end, tangents = _farthest(values[: stop + 1], slopes, keys[-1], tolerance, everywhere=True)
             keys.append(end)
             segments.append(tangents)
     chosen = np.zeros((len(keys), 2, 2))  # of each key: slopes and widths, before and after
@@ -121,12 +125,16 @@ def _standstills(values: Array) -> list[int]:
     return sorted({*whole[whole[:, 1] > whole[:, 0]].ravel().tolist(), len(values) - 1})
 
 
-def _farthest(values: Array, slopes: Array, start: int, tolerance: float) -> tuple[int, _Tangents]:
-    """The end of the longest segment from ``start`` that fits, a whole frame or, within a frame, half of it, and so
-    on; and its tangents."""
+def _farthest(
+    values: Array, slopes: Array, start: int, tolerance: float, everywhere: bool = False
+) -> tuple[int, _Tangents]:
+    """The end of the longest segment from ``start`` that fits at the probes or ``everywhere``: a whole frame or,
+    within a frame, half of it, and so on; and its tangents."""
 
     def fitted(end: int) -> _Tangents | None:
-        return _fitted(values[start : end + 1], slopes[start, 1], slopes[end, 0], tolerance)
+        own = values[start : end + 1]
+        found = _fitted(own, slopes[start, 1], slopes[end, 0], tolerance)
+        return found if found is None or not everywhere or _fits(own, found, tolerance) else None
 
     last = len(values) - 1
     whole = min((start // INSTANTS + 1) * INSTANTS, last)
@@ -148,8 +156,8 @@ def _farthest(values: Array, slopes: Array, start: int, tolerance: float) -> tup
 
 
 def _fitted(values: Array, before: float, after: float, tolerance: float) -> _Tangents | None:
-    """Tangents with these slopes per instant whose cubic is within the tolerance of ``values`` (n,); None if none is
-    found.
+    """Tangents with these slopes per instant whose cubic is within the tolerance of ``values`` (n,) at the probes; None
+    if none is found.
 
     A third of the segment's length is tried as their widths, then better widths by Gauss and Newton's method for least
     squares. Slopes are kept, so that a key has the same slope on both sides, except at a kink.
@@ -168,24 +176,27 @@ def _fitted(values: Array, before: float, after: float, tolerance: float) -> _Ta
         k = np.minimum(t.astype(np.int64), h - 1)
         bent = (steps[np.minimum(k + 1, h - 1)] - steps[k]) / 2
         errors = _PROBES @ points - values[k] - (t - k) * (steps[k] + (t - k - 1) * bent)
-        if h == 1 or (np.abs(errors).max() <= tolerance and _off(values, points, widths) <= tolerance):
+        if h == 1 or np.abs(errors).max() <= tolerance:
             return _Tangents(slopes, widths)
         gradients = _PROBES[:, 1:3] * [1.0, -1.0] * (slopes - steps[k, None])
-        widths = np.clip(widths + np.linalg.lstsq(gradients, -errors, rcond=1e-3)[0], WIDTHS[0] * h, most)
+        normal, right = gradients.T @ gradients, gradients.T @ errors
+        normal[[0, 1], [0, 1]] += DAMPING * max(normal.trace(), np.finfo(float).eps)
+        widths = np.clip(widths - np.linalg.solve(normal, right), WIDTHS[0] * h, most)
         widths *= min(1.0, h / widths.sum())
     return None
 
 
 def _control_points(start: Any, end: Any, slopes: Array, widths: Array) -> Array:
     """The four values of the control points of a segment from ``start`` to ``end``, with tangents (2, ...)."""
-    return np.stack([start, start + slopes[0] * widths[0], end - slopes[1] * widths[1], end])
+    return np.array([start, start + slopes[0] * widths[0], end - slopes[1] * widths[1], end])
 
 
-def _off(values: Array, points: Array, widths: Array) -> float:
-    """Largest distance of a cubic from ``values`` (n,), whose instants are evenly spaced along it."""
+def _fits(values: Array, tangents: _Tangents, tolerance: float) -> bool:
+    """Whether a cubic with these tangents is within the tolerance of all ``values`` (n,)."""
     h = len(values) - 1
-    s = _parameters(np.arange(1, h) / h, widths[:, None] / h)
-    return float(np.abs(points @ _weights(s) - values[1:-1]).max())
+    points = _control_points(values[0], values[-1], *tangents)
+    s = _parameters(np.arange(1, h) / h, tangents.widths[:, None] / h)
+    return bool((np.abs(points @ _weights(s) - values[1:-1]) <= tolerance).all())
 
 
 def _slopes(values: Array, tolerance: float) -> Array:
@@ -216,19 +227,17 @@ def _parameters(x: Array, widths: Array) -> Array:
     """The parameters (n,) at shares ``x`` (n,) of a segment's length, with widths (2, n or 1) in shares of it whose sum
     is at most 1: Newton's method, with bisection where it would leave its bracket."""
     start, end = widths[0], 1 - widths[1]
+    a, b, c = 1 + 3 * (start - end), 3 * (end - 2 * start), 3 * start  # share = ((a s + b) s + c) s
     low, high, s = np.zeros_like(x), np.ones_like(x), x.copy()
-    for _ in range(60):
-        w = _weights(s)
-        error = w[1] * start + w[2] * end + w[3] - x
-        if np.abs(error).max() < 1e-13:
-            break
-        np.copyto(low, s, where=error < 0)
-        np.copyto(high, s, where=error > 0)
-        r = 1 - s
-        slope = 3 * (r * r * start + 2 * r * s * (end - start) + s * s * (1 - end))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            newton = s - error / slope
-        s = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(60):
+            error = ((a * s + b) * s + c) * s - x
+            if np.abs(error).max() < 1e-13:
+                break
+            np.copyto(low, s, where=error < 0)
+            np.copyto(high, s, where=error > 0)
+            newton = s - error / ((3 * a * s + 2 * b) * s + c)
+            s = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
     return s
 
 
@@ -288,14 +297,15 @@ def _order(rotations: Any) -> tuple[str, Array]:
 def _fit_together(
     frames: Array, values: Array, tolerance: float, error: Callable[[Sequence[Curve]], Array]
 ) -> list[Curve]:
-    """Curves of the columns of ``values`` with the largest equal tolerance at which their joint error is within
-    ``tolerance``."""
+    """Curves of the columns of ``values`` whose joint error is within ``tolerance``: each within the same share of it,
+    which is lowered as far as necessary."""
     share = 1.0
     while True:
         curves = [fit(frames, column, share * tolerance) for column in values.T]
-        if error(curves).max() <= tolerance or share < 1e-3:
+        largest = float(error(curves).max())
+        if largest <= tolerance or share < 1e-3:
             return curves
-        share *= 0.75
+        share *= min(tolerance / largest, 0.95)
 
 
 def sampled_frames(frames: Array, q: Array, angle: float) -> Array:
@@ -325,11 +335,11 @@ def quiet() -> Iterator[None]:
 
 
 def count_keys(layer: Any) -> dict[str, int]:
-    """Attribute path -> the number of keys of its spline or of its samples, in a layer."""
+    """Path of an op -> the number of keys of its spline or of its samples, in a layer."""
     found: dict[str, int] = {}
 
     def visit(path: Any) -> None:
-        if path.IsPropertyPath():
+        if path.IsPropertyPath() and path.name.startswith("xformOp:"):
             attribute = layer.GetAttributeAtPath(path)
             spline = attribute.GetSpline() if attribute and attribute.HasSpline() else None
             count = layer.GetNumTimeSamplesForPath(path) if spline is None else len(spline.GetKnots())

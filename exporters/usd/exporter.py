@@ -41,6 +41,7 @@ from vehsim.exporters.usd.scenery.water import write_water
 from vehsim.exporters.usd.value_clips import split_into_clips
 from vehsim.exporters.usd.versions import write_latest
 from vehsim.rig.blocking import write_over
+from vehsim.rig.tolerances import curve_tolerances
 from vehsim.runtime.progress import Progress
 
 if TYPE_CHECKING:
@@ -168,8 +169,10 @@ def write_layers(take: Take, name: str, pack: Pack, units: Units) -> dict[str, P
     forms: dict[str, dict[str, Any]] = {"exact": {"shutter": settings.shutter}}
     if settings.thin is not None:
         forms["thinned"] = {"thin": settings.thin}
-    if settings.curves is not None:
-        forms["curves"] = {"shutter": settings.shutter, "curves": settings.curves}
+    rig = clip.vehicle.rig
+    tolerances = None if settings.curves is None or rig is None else curve_tolerances(rig, *settings.curves)
+    if tolerances is not None:
+        forms["curves"] = {"shutter": settings.shutter, "curves": tolerances}
     layers = {}
     for form, how in forms.items():
         layer = pack.folder / "layers" / LAYERS[form].format(name)
@@ -177,8 +180,8 @@ def write_layers(take: Take, name: str, pack: Pack, units: Units) -> dict[str, P
         pack.written.append(layer)
         if settings.clip_frames is not None and form != "curves":
             pack.written.extend(split_into_clips(layer, settings.clip_frames))
-    if settings.curves is not None:
-        check_curves(layers["curves"], f"/{name}", clip, settings.curves, units)
+    if tolerances is not None:
+        check_curves(layers["curves"], f"/{name}", clip, tolerances, units)
     return layers
 
 

@@ -20,6 +20,7 @@ from vehsim.rig.posed import posed
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
     from vehsim.clip.clip import Clip
+    from vehsim.rig.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
@@ -68,12 +69,10 @@ def check_readback(
             )
 
 
-def check_curves(
-    path: Path, prim_path: str, clip: Clip, tolerances: tuple[float, float], units: Units = Z_UP_METRES
-) -> None:
+def check_curves(path: Path, prim_path: str, clip: Clip, tolerances: Tolerances, units: Units = Z_UP_METRES) -> None:
     """Compare a layer of curves with its clip at eighths of every frame: the root's pose, and each channel.
 
-    ``tolerances``: m and degrees. Raises ``ExportError`` naming the first part and frame beyond them.
+    Raises ``ExportError`` naming the first part and frame beyond the tolerances.
     """
     from pxr import Usd, UsdGeom
 
@@ -84,11 +83,10 @@ def check_curves(
     frames, expected = frames_of(at), expected_matrices(at, stage.GetTimeCodesPerSecond())[""]
     found = np.linalg.inv(units.matrix) @ world_matrices(stage.GetPrimAtPath(prim_path), frames)
     turned = np.linalg.inv(expected[:, :3, :3]) @ found[:, :3, :3] - np.eye(3)
-    metres, angle = tolerances[0] * 1.01, np.radians(tolerances[1]) * 1.01
     off = {
         prim_path: np.maximum(
-            np.linalg.norm(found[:, :3, 3] - expected[:, :3, 3], axis=1) / metres,
-            np.linalg.norm(turned, axis=(1, 2)) / np.sqrt(2) / angle,
+            np.linalg.norm(found[:, :3, 3] - expected[:, :3, 3], axis=1) / tolerances.distance,
+            np.linalg.norm(turned, axis=(1, 2)) / np.sqrt(2) / tolerances.angle,
         )
     }
     scale = UsdGeom.GetStageMetersPerUnit(open_rig(rig.asset, rig)[0])
@@ -99,10 +97,10 @@ def check_curves(
         )
         values = np.array([attribute.Get(frame) for frame in frames.tolist()]) if attribute else np.zeros(len(frames))
         error = np.abs(values / (factor * drive.factor) - at.channels[channel])
-        off[f"{prim_path}/{drive.prim}"] = error / (angle if drive.op.startswith("rotate") else metres)
+        off[f"{prim_path}/{drive.prim}"] = error / tolerances.channels[channel]
     for part, errors in off.items():
         worst = int(errors.argmax())
-        if not errors[worst] <= 1:
+        if not errors[worst] <= 1.01:
             raise ExportError(
                 f"at frame {frames[worst]:g} its curve is {errors[worst]:.3g} times the tolerance from the clip",
                 "report this as a bug, or leave out export.curves",

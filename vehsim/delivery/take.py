@@ -77,7 +77,8 @@ class UsdSettings:
     ``assets``: "copy" them, or "keep" their paths; ``outside``: "copy" files outside their folders that they refer to,
     or "refuse" them. ``shutter``: frames at which it opens and closes; it adds the samples for motion blur. ``thin`` m:
     adds a variant with the fewest keys within this tolerance. ``curves`` (m, degrees): adds a variant with splines
-    within these tolerances. ``clip_frames``: value clips of that many frames.
+    within these tolerances; without an angle, `curve_tolerances` chooses it. ``clip_frames``: value clips of that many
+    frames.
     ``layer_only``: write only the vehicles' animation layers. ``tyre_marks``: those of sliding tyres on the ground.
     ``spray``: with the water's spray, which takes nearly half of its time. ``water_frames``: how many
     of the first frames have its surface.
@@ -89,7 +90,7 @@ class UsdSettings:
     outside: str = "refuse"
     shutter: tuple[float, float] | None = None
     thin: float | None = None
-    curves: tuple[float, float] | None = None
+    curves: tuple[float, float | None] | None = None
     clip_frames: int | None = None
     layer_only: bool = False
     tyre_marks: bool = True

@@ -17,6 +17,7 @@ from vehsim.rig.posed import posed
 
 if TYPE_CHECKING:
     from vehsim.rig.rig import Rig
+    from vehsim.rig.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 MOVED, TURNED = 2e-3, 0.2
@@ -53,7 +54,7 @@ def others_moved(edited: Path, delivered: Path, vehicles: Collection[str]) -> li
             continue
         frames = whole if any(map(_varies, prims)) else whole[:1]
         before, after = (rigid_poses(stage, prim, frames) for stage, prim in zip(stages, prims, strict=True))
-        found += _apart(path, frames, before, after, 0.0)
+        found += _apart(path, frames, before, after)
     return found
 
 
@@ -64,12 +65,12 @@ def parts_moved(
     channels: Mapping[str, Array],
     frames: Array,
     rate: float,
-    degrees: float = 0.0,
+    curves: Tolerances | None = None,
 ) -> list[Moved]:
     """The topmost prims below a vehicle's ``root`` that ``edited`` poses otherwise, relative to it, than ``channels``
     (n,), rad or m, at ``frames`` (n,), of which there are ``rate`` per second.
 
-    ``degrees``: how far delivered curves may turn away from the motion. Paths are those below the asset's root. In a
+    ``curves``: how far the delivered curves may be from the motion. Paths are those below the asset's root. In a
     stage that another tool wrote, a part is the only prim of its name below ``root``.
     """
     stage, (_asset, asset_root) = open_stage(edited), open_rig(rig.asset, rig)  # a prim does not keep its stage open
@@ -84,18 +85,31 @@ def parts_moved(
             continue
         wanted = np.linalg.inv(expected[""]) @ expected[path]
         shown = to_root @ rigid_poses(stage, prim, frames)
-        found += _apart(path, frames, np.broadcast_to(wanted, shown.shape), shown, 2 * degrees)
+        found += _apart(path, frames, np.broadcast_to(wanted, shown.shape), shown, *_loose(rig, path, curves))
     return found
 
 
-def _apart(path: str, frames: Array, before: Array, after: Array, more: float) -> Iterator[Moved]:
-    """How far poses (n, 4, 4) are apart, if more than `MOVED`, or `TURNED` and ``more`` degrees."""
+def _loose(rig: Rig, path: str, curves: Tolerances | None) -> tuple[float, float]:
+    """How far curves may move, m, and turn, degrees, a part relative to the root: they and those that carry it."""
+    if curves is None:
+        return 0.0, 0.0
+    carriers = [c for c, drive in rig.drives.items() if drive.prim == path or path.startswith(f"{drive.prim}/")]
+    turned = [abs(rig.drives[c].factor) * curves.channels[c] for c in carriers if rig.drives[c].op.startswith("rotate")]
+    return curves.distance * len(carriers), float(np.degrees(curves.angle + sum(turned)))
+
+
+def _apart(
+    path: str, frames: Array, before: Array, after: Array, metres_more: float = 0.0, degrees_more: float = 0.0
+) -> Iterator[Moved]:
+    """How far poses (n, 4, 4) are apart, if by more than `MOVED` and ``metres_more``, or `TURNED` and
+    ``degrees_more``."""
+    most, widest = MOVED + metres_more, TURNED + degrees_more
     metres = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
     traces = np.einsum("nij,nij->n", after[:, :3, :3], before[:, :3, :3])
     angles = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1.0, 1.0)))
-    amount = metres / MOVED + angles / (TURNED + more)
+    amount = metres / most + angles / widest
     worst = int(np.argmax(amount > 0.999 * amount.max()))  # the first of equal ones
-    if metres.max() > MOVED or angles.max() > TURNED + more:
+    if metres.max() > most or angles.max() > widest:
         yield Moved(path, float(frames[worst]), float(metres[worst]), float(angles[worst]))
 
 

@@ -443,7 +443,6 @@ class Shot:
         if not edited:
             return self._solve_vehicles(progress)
         clips, reports = self.unedited()._motion(progress, cached)[0]
-        curves = self.file.export.curves
         for table in edited:
             assert table.edited is not None
             name = table.name
@@ -454,7 +453,7 @@ class Shot:
             context = replace(self._context, world=self.world_of(name, clips))
             options = table.motion.options() if hasattr(table.motion, "options") else {}
             clips[name], reports[name] = table.edited.retouch(
-                name, clips[name], reports[name], options, context, report, curves.angle if curves else 0.0
+                name, clips[name], reports[name], options, context, report, self.usd.curves
             )
         return clips, reports
 

@@ -71,17 +71,17 @@ class EditTable(Table):
         options: Mapping[str, Any],
         context: Context,
         progress: Progress,
-        degrees: float = 0.0,
+        curves: tuple[float, float | None] | None = None,
     ) -> tuple[Clip, dict[str, Any]]:
         """The retouched clip and its report, from those of the solved motion.
 
-        Marks that the edit touches are no longer required; the others still are. ``degrees``: how far the delivered
-        curves may turn away from the motion.
+        Marks that the edit touches are no longer required; the others still are. ``curves``: how far the delivered
+        curves may be from the motion, m and degrees, as for `curve_tolerances`.
         """
         from vehsim.planning.retouch import KEPT, retouch
 
         edited = self.read(clip.vehicle, context)
-        parts = self._parts_moved(edited, clip, context, degrees)
+        parts = self._parts_moved(edited, clip, context, curves)
         asks = [dict(ask) for ask in report.get("asks", [])]
         marks = [ask for ask in asks if ask["key"].startswith("mark[")]
         made = retouch(
@@ -115,9 +115,12 @@ class EditTable(Table):
         }
         return made.clip, {**report, "asks": asks, "edit": details}
 
-    def _parts_moved(self, edited: Blocking, clip: Clip, context: Context, degrees: float) -> list[Moved]:
+    def _parts_moved(
+        self, edited: Blocking, clip: Clip, context: Context, curves: tuple[float, float | None] | None
+    ) -> list[Moved]:
         """Wheels, rotors and other parts that the edit poses otherwise than the solved motion ``clip``."""
         from vehsim.rig.edited import parts_moved
+        from vehsim.rig.tolerances import curve_tolerances
         from vehsim.world.ground.placing import place_on_terrain
 
         assert clip.vehicle.rig is not None
@@ -127,7 +130,8 @@ class EditTable(Table):
         placed = place_on_terrain(clip, context.world)
         channels = placed.at(np.minimum((frames - clip.start_frame) / float(clip.fps), clip.times[-1])).channels
         rate = float(context.fps)
-        return parts_moved(edited.path, edited.prim, clip.vehicle.rig, channels, frames, rate, degrees)
+        loose = None if curves is None else curve_tolerances(clip.vehicle.rig, *curves)
+        return parts_moved(edited.path, edited.prim, clip.vehicle.rig, channels, frames, rate, loose)
 
 
 def _warn_of_parts(name: str, parts: Sequence[Moved]) -> None:

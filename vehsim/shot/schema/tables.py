@@ -279,12 +279,13 @@ class NoteTable(Table):
 
 
 class CurvesTable(Table):
-    """``curves = { tolerance = 0.001, angle = 0.05 }``."""
+    """``curves = { tolerance = 0.001 }``."""
 
     tolerance: Annotated[Positive, Field(ge=1e-5, le=10)] = 0.001
     """the greatest distance from the motion, in m"""
-    angle: Annotated[Positive, Field(ge=1e-3, le=45)] = 0.05
-    """the greatest angle from the motion, in degrees"""
+    angle: Annotated[Positive, Field(ge=1e-3, le=45)] | None = None
+    """the greatest angle from the motion, in degrees; default: 0.05, and for parts as much as moves their outermost
+    point by ``tolerance``, if that is more"""
 
 
 class ExportTable(Table):
