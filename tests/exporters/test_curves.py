@@ -16,7 +16,9 @@ from vehsim.errors import ExportError
 from vehsim.exporters.usd.curves import fit, fit_rotations, instants
 from vehsim.exporters.usd.exporter import write_usd
 from vehsim.exporters.usd.readback import world_matrices
+from vehsim.rig.edited import parts_moved
 from vehsim.rig.rig import Drive
+from vehsim.rig.tolerances import curve_tolerances
 from vehsim.vehicles import load_vehicle
 
 TOLERANCE, ANGLE = 0.001, 0.05
@@ -75,6 +77,33 @@ def test_without_an_angle_a_part_may_move_its_rim_by_the_tolerance(tmp_path, toy
         errors.append(np.abs(np.radians([spline.Eval(frame) for frame in frames.tolist()]) - wanted).max())
     assert errors[0] <= np.radians(ANGLE) and keys[1] < keys[0]
     assert np.radians(ANGLE) < errors[1] <= distance / np.hypot(1.2, 0.1)
+
+
+def test_what_a_tolerance_permits_is_no_edit_of_a_part(tmp_path, toys, make_take):
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"))
+    clip.channels["rotor"][:] = 8 * np.sin(9 * clip.times)
+    write_usd(replace(make_take(clip), usd=UsdSettings(curves=(0.02, None))), tmp_path, toys.silent)
+    edited = Usd.Stage.Open(str(tmp_path / "shot.usda"))
+    prim = edited.GetPrimAtPath("/shot/vehicles/toy0")
+    prim.GetVariantSets().SetSelection("motion", "curves")
+    edited.GetRootLayer().Save()
+    frames = np.arange(1001.0, 1025.0)
+    channels = clip.at((frames - 1001) / 24).channels
+
+    def moved(curves):
+        rig = clip.vehicle.rig
+        return parts_moved(tmp_path / "shot.usda", str(prim.GetPath()), rig, channels, frames, 24.0, curves)
+
+    assert [part.path for part in moved(None)] == ["rotor"], "its curve is more than 0.2 degrees off"
+    tolerances = curve_tolerances(clip.vehicle.rig, 0.02, None)
+    assert not moved(tolerances)
+    spline = prim.GetChild("rotor").GetAttribute("xformOp:rotateZ:spin").GetSpline()
+    for knot in spline.GetKnots().values():
+        knot.SetValue(knot.GetValue() + 3.0)
+        spline.SetKnot(knot)
+    prim.GetChild("rotor").GetAttribute("xformOp:rotateZ:spin").SetSpline(spline)
+    edited.GetRootLayer().Save()
+    assert [part.path for part in moved(tolerances)] == ["rotor"]
 
 
 def test_a_usd_without_splines_is_named(tmp_path, toys, make_take, monkeypatch):
