@@ -7,10 +7,8 @@ between points on the vehicle's meshes and the triangles of the surroundings, in
 from __future__ import annotations
 
 import hashlib
-import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import fields, replace
 from fractions import Fraction
 from functools import cached_property
@@ -22,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown, track_of_poses
+from vehsim.delivery.reports import reading_report
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.usd.metadata import Units
-from vehsim.intake.foreign import reading
 from vehsim.intake.usd import dependencies, is_drawn
 from vehsim.requests import Ask
 from vehsim.rig.ops import scalar_op, slide_axis
@@ -564,8 +562,8 @@ def _obstacles(report: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 def audit_delivery(folder: Path, progress: Progress = silent) -> dict[str, list[Row]]:
     """Audit the content of a delivery's folder. Raises ``InputError`` for a folder that is not a delivery."""
-    with _reading_report(folder):
-        path, report = _delivered(folder)
+    with reading_report(folder) as report:
+        path = _stage_in(folder, report)
         return audit_stage(path, report, progress=progress)
 
 
@@ -574,28 +572,20 @@ def changed_files(folder: Path) -> list[str]:
 
     A spoiled sample between two marks may miss no request, so that no measurement shows it. Raises ``InputError``.
     """
-    with _reading_report(folder):
-        path, report = _delivered(folder)
+    with reading_report(folder) as report:
+        path = _stage_in(folder, report)
         used = {Path(file).resolve() for file in dependencies(path)[0]}
         digests = {name: digest for name, digest in report["files"].items() if (folder / name).resolve() in used}
         return sorted(name for name, digest in digests.items() if _digest(folder / name) != digest)
 
 
-def _reading_report(folder: Path) -> AbstractContextManager[None]:
-    """Name the report in errors, because it may contain anything. Raises ``InputError`` if there is none."""
-    if not (folder / "report.json").is_file():
-        raise InputError("not a delivery: no report.json in it", "give a folder that vehsim export wrote", file=folder)
-    return reading(folder / "report.json", "report", "export the shot again")
-
-
-def _delivered(folder: Path) -> tuple[Path, dict[str, Any]]:
-    """The stage and the report of a delivery's folder."""
-    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+def _stage_in(folder: Path, report: Mapping[str, Any]) -> Path:
+    """The stage of a delivery's folder. Raises ``InputError`` if there is none, or if it cannot be read."""
     path = stage_of(folder, report["shot"])
     if path is None:
         raise InputError("no stage in it", "export with --to usd, flat or usdz", file=folder)
     dependencies(path)
-    return path, report
+    return path
 
 
 def _digest(path: Path) -> str:

@@ -6,17 +6,20 @@ wrong: the review says where a viewer may not believe it.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 
 from vehsim.audit import MEASURES, PER_FRAME, Scene, Track, track_of_clip
-from vehsim.errors import InputError
-from vehsim.intake.foreign import reading
+from vehsim.clip.samples import frame_rate
+from vehsim.delivery.earlier import SIGN
+from vehsim.delivery.reports import REMEDY, reading_report
+from vehsim.intake.foreign import refuse
+from vehsim.intake.tables import dotted
 from vehsim.planning.terms import LIMITS
 from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS, SHARES_OF_TIME, Reviewed, Trait
 from vehsim.vehicles.definition.quantities import in_degrees
@@ -74,14 +77,39 @@ def review(clip: Clip, wind: ArrayLike = (0.0, 0.0, 0.0), character: str = NORMA
     return rows
 
 
+def _paired(curve: list[list[float]]) -> list[list[float]]:
+    if len(curve) != 2 or len(curve[0]) != len(curve[1]):
+        raise ValueError("a curve has frames, and as many values")
+    return curve
+
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Row(BaseModel, strict=True):
+    """A row of `review` that was read from a file."""
+
+    name: str
+    unit: str
+    worst: _Finite
+    frame: _Finite
+    envelope: _Finite | None
+    source: str
+    inside: bool | None
+    curve: Annotated[list[list[_Finite]], AfterValidator(_paired)]
+
+
 def review_of(path: Path) -> dict[str, Any]:
     """The shot's name, frame rate and reviews by vehicle from a delivery's ``report.json``. Raises ``InputError``."""
-    if not (path / "report.json").is_file():
-        raise InputError("not a delivery: no report.json in it", "give a folder that vehsim export wrote", file=path)
-    with reading(path / "report.json", "report", "export the shot again"):
-        report = json.loads((path / "report.json").read_text(encoding="utf-8"))
+    with reading_report(path) as report:
         found = {name: summary["review"] for name, summary in report["vehicles"].items()}
-        return {"shot": str(report["shot"]), "fps": str(report["fps"]), "vehicles": found}
+        try:
+            TypeAdapter(dict[str, list[_Row]]).validate_python(found)
+        except ValidationError as error:
+            wrong = error.errors(include_url=False)[0]
+            key = dotted(("vehicles", *wrong["loc"]))
+            raise refuse(path / SIGN, key, f"not a review: {wrong['msg']}", REMEDY) from None
+        return {"shot": report["shot"], "fps": str(frame_rate(report["fps"])), "vehicles": found}
 
 
 def outside(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -1,5 +1,6 @@
 """A clip reads the same everywhere: exact at its knots, C1 between them, bit for bit from a file."""
 
+import re
 from dataclasses import replace
 from fractions import Fraction
 
@@ -129,6 +130,34 @@ def test_wrong_clips_and_times_are_named(tmp_path):
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(InputError, match="not a clip saved by vehsim"):
         Clip.load(tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "says"),
+    [
+        ("positions", np.zeros((49, 2)), r"positions has the shape \(49, 2\), not n by 3"),
+        ("positions", np.zeros((49, 3), "U1"), "could not convert string to float"),
+        ("orientations", np.ones(49), r"orientations has the shape \(49,\), not n by 4"),
+        ("times", np.array(0.0), "different lengths or empty"),
+        ("times", np.linspace(0, 1, 49)[:, None], r"times has the shape \(49, 1\), not n$"),
+        ("joints", np.zeros((49, 9)), r"joints has the shape \(49, 9\), not n by"),
+        ("controls", np.zeros((49, 9)), r"controls has the shape \(49, 9\), not n by 2"),
+        ("channel.steer_fl", np.zeros(4), "different lengths or empty"),
+        ("energy.kinetic", np.zeros((49, 2)), r"energy.kinetic has the shape \(49, 2\), not n$"),
+        ("header", np.array('{"events": [null]}'), "not iterable"),
+    ],
+)
+def test_saved_arrays_of_wrong_shapes_are_named(tmp_path, name, wrong, says):
+    clip = flown("car")
+    with np.load(clip.save(tmp_path / "clip.npz")) as saved:
+        arrays = dict(saved)
+    assert name in arrays and len(clip) == 49
+    np.savez(tmp_path / "clip.npz", **arrays | {name: wrong})
+    with pytest.raises(InputError) as caught:
+        Clip.load(tmp_path / "clip.npz")
+    problem = caught.value.problem
+    assert problem.file == str(tmp_path / "clip.npz") and problem.remedy
+    assert re.search(f"^not a clip saved by vehsim: .*{says}", problem.message)
 
 
 def test_one_sample_is_a_clip():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -155,6 +156,37 @@ def test_a_folder_without_a_review_is_refused(tmp_path: Path, capsys: pytest.Cap
     (tmp_path / "report.json").write_text('{"shot": "x", "fps": "24", "vehicles": {"car": {}}}')
     assert cli.run(["review", str(tmp_path), "--out", str(tmp_path / "a")]) == 2
     assert not (tmp_path / "a").exists()
+
+
+ROW = {"name": "jerk", "unit": "m/s^3", "worst": 1.0, "frame": 1001.0, "envelope": 2.0, "source": "", "inside": True}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("curve", [[1001.0, 1002.0], [1.0]], "a curve has frames, and as many values"),
+        ("curve", [[1001.0], ["much"]], "valid number"),
+        ("worst", float("nan"), "finite"),
+        ("envelope", {}, "valid number"),
+        ("inside", None, ""),
+        ("unit", 3, "valid string"),
+        ("shot", "../../escape", "not a name: letters"),
+        ("fps", [], "frame rate"),
+    ],
+)
+def test_a_report_that_was_changed_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, value: Any, says: str
+) -> None:
+    row: dict[str, Any] = ROW | {"curve": [[1001.0], [1.0]]}
+    report = {"shot": "x", "fps": "24", "vehicles": {"car": {"review": [row]}}}
+    (report if key in report else row)[key] = value
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    code = cli.run(["review", str(tmp_path), "--out", str(tmp_path / "a" / "b")])
+    assert code == (2 if says else 0), capsys.readouterr().err
+    if says:
+        said = capsys.readouterr().err
+        assert says in said and key in said and str(tmp_path) in said
+        assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
 
 
 def test_power_is_that_of_the_rotors_in_the_air_that_they_meet() -> None:

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import random
 import re
 import shutil
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
@@ -168,6 +171,67 @@ def _tail(chance: random.Random, whole: bytes) -> bytes:
     return whole + chance.choice((whole, b"\0" * 1000, chance.randbytes(1000), b"\n" * 100_000, b"(" * 10_000))
 
 
+def _values(chance: random.Random, whole: bytes) -> bytes:
+    """Valid JSON with values that are missing or of another kind; other files stay."""
+    try:
+        root = json.loads(whole)
+    except ValueError:
+        return whole
+    inner, found = [root], []
+    while inner:
+        node = inner.pop()
+        children = node.items() if isinstance(node, dict) else enumerate(node)
+        for key, value in children:
+            found.append((node, key))
+            if isinstance(value, dict | list):
+                inner.append(value)
+    others = (
+        None,
+        True,
+        -1,
+        0,
+        1e308,
+        math.nan,
+        10**400,
+        "",
+        "text",
+        "../..",
+        "\udc80",
+        [],
+        [[]],
+        {},
+        [None],
+        {"": {}},
+    )
+    for node, key in chance.sample(found, min(len(found), chance.choice((1, 1, 3, 20)))):
+        if isinstance(node, dict) and chance.random() < 0.3:
+            node.pop(key, None)
+        else:
+            node[key] = chance.choice(others)
+    return json.dumps(root).encode()
+
+
+def _members(chance: random.Random, whole: bytes) -> bytes:
+    """Archives with members that are missing or hold other arrays; other files stay."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(whole)) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, zlib.error):
+        return whole
+    for name in chance.sample(sorted(members), min(len(members), chance.choice((1, 1, 2, 5)))):
+        shapes = ((), (0,), (1,), (3,), (2, 3), (4, 4), (1, 1, 1))
+        others = [np.full(chance.choice(shapes), value) for value in (0.0, math.nan, math.inf, 1e308, -1, True, "a")]
+        content = chance.choice((None, b"", b"hello", *map(npy, others)))
+        if name == "header.npy" and members[name].startswith(b"\x93NUMPY"):  # of a clip
+            header = str(np.load(io.BytesIO(members[name]), allow_pickle=False))
+            content = npy(np.array(_values(chance, header.encode()).decode()))
+        if content is None:
+            del members[name]
+        else:
+            members[name] = content
+    return zipped(members)
+
+
 DAMAGES: dict[str, Callable[[random.Random, bytes], bytes]] = {
     "cut": _cut,
     "changed": _changed,
@@ -179,6 +243,8 @@ DAMAGES: dict[str, Callable[[random.Random, bytes], bytes]] = {
     "lines": _lines,
     "other": _other,
     "tail": _tail,
+    "values": _values,
+    "members": _members,
     "none": lambda chance, whole: whole,
 }
 
@@ -269,6 +335,23 @@ def Xform "rig"
     {
         asset inputs:texture:file = @./texture.png@
     }
+}
+"""
+
+EDIT = b"""#usda 1.0
+(
+    defaultPrim = "car"
+    endTimeCode = 1003
+    metersPerUnit = 1
+    startTimeCode = 1001
+    timeCodesPerSecond = 24
+    upAxis = "Z"
+)
+def Xform "car"
+{
+    double3 xformOp:translate.timeSamples = { 1001: (0, 0, 0), 1002: (0.02, 0, 0), 1003: (0.05, 0.001, 0), }
+    double3 xformOp:rotateXYZ.timeSamples = { 1001: (0, 0, 0), 1003: (0, 0, 0.5), }
+    uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
 }
 """
 
@@ -651,13 +734,22 @@ def terrain_file(case: Case) -> None:
     case.shot('[world]\nterrain = "place"\n')
 
 
-def delivered(case: Case) -> None:
-    """A delivery with a broken file in it: audited, rendered, validated."""
+def _delivery_with_a_broken_file(case: Case) -> None:
+    """Half of the time it is the report or the motion, with wrong content in a whole file."""
     files = delivery()
-    wrong = case.chance.choice(sorted(files))
+    wrong, damage = case.chance.choice(sorted(files)), broken
+    if case.chance.random() < 0.5:
+        wrong, by = case.chance.choice((("report.json", _values), ("car.npz", _members)))
+        case.words.append(by.__name__)
+        damage = lambda case, whole: by(case.chance, whole)
     case.words.append(wrong)
     for name, content in files.items():
-        case.write(f"good/{name}", broken(case, content) if name == wrong else content)
+        case.write(f"good/{name}", damage(case, content) if name == wrong else content)
+
+
+def delivered(case: Case) -> None:
+    """A delivery with a broken file in it: audited, rendered, validated."""
+    _delivery_with_a_broken_file(case)
     use = case.chance.choice(("audit", "audit", "audit", "render", "validate"))
     case.words.append(use)
     case.command = {
@@ -682,6 +774,86 @@ def clip_file(case: Case) -> None:
     case.write("it.npz", broken(case, delivery()["car.npz"]))
     motion = '[[vehicle]]\nname = "car"\nasset = "car"\n[vehicle.motion]\nmethod = "clip"\npath = "it.npz"\n'
     case.shot(text=HEAD.format(name="bad") + motion)
+
+
+def reviewed(case: Case) -> None:
+    """A broken delivery, clip or shot, whose motion is reviewed."""
+    use = case.chance.choice(("delivery", "clip", "shot"))
+    case.words.append(use)
+    if use == "delivery":
+        _delivery_with_a_broken_file(case)
+        case.command = ["review", "good", "--out", "out"]
+    else:
+        if use == "clip":
+            clip_file(case)
+            case.write("it.npz", _members(case.chance, delivery()["car.npz"]))
+        else:
+            case.write("bad.toml", _numbers(case.chance, GOOD.encode()))
+        case.command, case.good = ["review", "bad.toml", "--out", "out"], False
+
+
+def retouched(case: Case) -> None:
+    """A delivery, at times with a broken file, and broken edits of its curves."""
+    chance = case.chance
+    if chance.random() < 0.4:
+        _delivery_with_a_broken_file(case)
+    else:
+        for name, content in delivery().items():
+            case.write(f"good/{name}", content)
+    layer = next(name for name in delivery() if name.endswith(".anim.usdc"))
+    use = chance.choice(("layer", "layer", "curves", "strange", "stage"))
+    case.words.append(use)
+    if use == "layer":
+        edit = case.write("edit.usdc", broken(case, delivery()[layer]))
+    elif use == "curves":
+        edit = case.write("edit.usda", case.chance.choice((_numbers, _words))(chance, EDIT))
+    elif use == "strange":
+        edit = case.write("it.usda", _strange_stage(case))
+    else:
+        suffix, whole = stage_of(case)
+        edit = case.write(f"edit{suffix}", broken(case, whole))
+    case.command = ["retouch", "good", "--edit", edit, "--out", "out", "--to", chance.choice(("usd", "npz"))]
+
+
+def hydro(case: Case) -> None:
+    """A broken hull, or one of a broken vehicle, and strange masses."""
+    chance = case.chance
+    if chance.random() < 0.3:
+        vehicle(case)
+        hull = "rig"
+    else:
+        hull = str(_mesh(case))
+    case.command, case.good = ["hydro", hull, "--out", "out/hull.hydro.npz"], False
+    if chance.random() < 0.7:
+        case.command += ["--mass", chance.choice(("1", "500", "1e5", "1e308", "nan", "inf", "0", "-1", "text"))]
+    if chance.random() < 0.5:
+        case.command += ["--origin", "0", "0", chance.choice(("0", "-0.2", "1e9", "nan", "inf"))]
+
+
+def manoeuvres(case: Case) -> None:
+    """Broken shots that are steered by sinusoids."""
+    whole = case.chance.choice([f for f in sorted(EXAMPLES.glob("*.toml")) if b"sinusoid" in f.read_bytes()])
+    damage = case.chance.choice((_numbers, _numbers, _words, _lines))
+    case.write("bad.toml", damage(case.chance, whole.read_bytes()))
+    case.command = ["manoeuvres", "bad.toml", "--out", "out"]
+
+
+def new(case: Case) -> None:
+    """A new shot with a strange name, a broken vehicle or a broken terrain."""
+    chance = case.chance
+    (case.folder / "out").mkdir(parents=True)
+    name = chance.choice(
+        ("it", "it", "ünï", "a b", "", ".", "..", "\n", "x" * 5000, "-x", "a.b.c", "{}", '"', "it/", "\udc80")
+    )
+    asset, terrain = chance.choice(("car", "helicopter", "gone", ".")), chance.choice(("flat", "hills", "gone", "."))
+    if chance.random() < 0.4:
+        vehicle(case)
+        asset = "rig"
+    elif chance.random() < 0.5:
+        terrain = str(_mesh(case))
+    case.command, case.good = ["new", f"out/{name}", "--vehicle", asset, "--terrain", terrain], False
+    if chance.random() < 0.5:
+        case.command += ["--method", chance.choice(("plan", "simulate", "sinusoid", "integrate", "clip", "x"))]
 
 
 def compared(case: Case) -> None:
@@ -744,5 +916,10 @@ KINDS: dict[str, tuple[int, Callable[[Case], None]]] = {
     "clip": (3, clip_file),
     "compare": (2, compared),
     "places": (2, places),
+    "review": (2, reviewed),
+    "retouch": (3, retouched),
+    "hydro": (2, hydro),
+    "manoeuvres": (2, manoeuvres),
+    "new": (2, new),
 }
 """Kinds of cases and their shares."""

@@ -547,7 +547,7 @@ def hydro(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where to write it; default: HULL.hydro.npz here.")
     ] = None,
-    mass: Annotated[float | None, typer.Option(metavar="KG", min=1e-3, help="What the hull weighs.")] = None,
+    mass: Annotated[float | None, typer.Option(metavar="KG", min=1e-3, max=1e12, help="What the hull weighs.")] = None,
     origin: Annotated[
         tuple[float, float, float], typer.Option(metavar="X Y Z", help="Centre of mass of a mesh, m, in its axes.")
     ] = (0.0, 0.0, 0.0),

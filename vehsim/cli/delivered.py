@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import warnings
 from collections.abc import Iterator, Mapping
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.delivery.reports import reading_report
 from vehsim.errors import InputError
-from vehsim.intake.foreign import reading
 
 if TYPE_CHECKING:
     from vehsim.delivery.take import Take
@@ -34,10 +33,9 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     from vehsim.intake.toml import read_toml
     from vehsim.shot.shot import Shot
 
-    report = report_of(delivery)
-    name = report["shot"]
     folder = Path() if source is None else source.parent
-    with reading(delivery / "report.json", "report", "export the shot again"):
+    with reading_report(delivery) as report:
+        name = report["shot"]
         data = report["solved"]["shot"] if source is None else read_toml(source)[0]
         vehicles = {vehicle["name"]: vehicle for vehicle in data["vehicle"]}
     before = Shot.from_dict(data, folder, str(source or delivery / "report.json"))
@@ -51,18 +49,6 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     for vehicle, prim in found.items():
         vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
     return Shot.from_dict(data, folder, before.source)
-
-
-def report_of(delivery: Path) -> dict[str, Any]:
-    """The ``report.json`` of a delivery. Raises ``InputError``."""
-    path = delivery / "report.json"
-    if not path.is_file():
-        raise InputError(
-            "not a delivery: no report.json in it", "give a folder that vehsim export wrote", file=delivery
-        )
-    with reading(path, "report", "export the shot again"):
-        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return report | {"shot": str(report["shot"])}
 
 
 def prims_in(edit: Path, wanted: dict[str, str]) -> dict[str, str]:

@@ -19,6 +19,8 @@ MODES = ("roll", "pitch", "yaw", "surge", "sway", "heave")
 SEAS = {"head": 180.0, "bow": 135.0, "beam": 90.0}
 """Where waves travel, degrees from the bow."""
 ROWS = 12
+FAR = 10.0
+"""Largest distance of a centre of mass from the middle of a mesh, in its diagonals."""
 
 
 def of_hull(hull: str, mass: float | None, origin: tuple[float, float, float], progress: Progress) -> Coefficients:
@@ -51,6 +53,10 @@ def _mesh(path: Path, mass: float | None, origin: tuple[float, float, float]) ->
     if mass is None:
         raise InputError("missing", "say what the hull weighs, in kg", key="--mass", subject=str(path))
     points, faces = read_triangles(path, "HULL")
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    if not np.linalg.norm(origin - (lower + upper) / 2) <= FAR * np.linalg.norm(upper - lower):
+        box = f"{lower.round(3).tolist()} to {upper.round(3).tolist()}"
+        raise InputError(f"far from the hull, {box}", "give the centre of mass in m", key="--origin", value=origin)
     hull = Hull(points=points - np.array(origin), faces=faces)
     return Holonomic(name=path.stem, group=SE3, inertia=(mass,) * 6, mass=mass, hull=hull)
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError, ShotError
+from vehsim.intake.tables import NAME
 from vehsim.intake.usd import open_stage
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def new_shot(target: Path, asset: str, terrain: str | None = None, method: str |
 
     path = target if target.suffix == ".toml" else target.with_name(f"{target.name}.toml")
     name = path.stem
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,99}", name):
+    if not re.fullmatch(NAME, name):
         close = re.sub(r"\W|^(?=\d)", "_", name, flags=re.ASCII)[:100]
         raise InputError(
             "letters, digits and _ only, no digit first", f"try {close or 'shot'!r}", key="NAME", value=name

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.interpolant import interpolate
-from vehsim.clip.samples import ARRAYS, Samples
+from vehsim.clip.samples import ARRAYS, GROUPS, Samples
 from vehsim.errors import InputError
 from vehsim.intake.arrays import NUMBERS, read_arrays
 from vehsim.runtime.files import write_file
@@ -88,9 +88,8 @@ class Clip(Samples):
             "events": list(self.events),
         }
         arrays = {name: getattr(self, name) for name in ARRAYS}
-        arrays |= {f"channel.{name}": values for name, values in self.channels.items()}
-        arrays |= {f"energy.{name}": values for name, values in self.energy.items()}
-        arrays |= {f"command.{name}": values for name, values in self.commands.items()}
+        for group, prefix in GROUPS.items():
+            arrays |= {f"{prefix}{name}": values for name, values in getattr(self, group).items()}
         buffer = BytesIO()
         np.savez(buffer, header=np.array(json.dumps(header, sort_keys=True)), **arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
@@ -114,24 +113,21 @@ class Clip(Samples):
                 with np.load(file, allow_pickle=False) as data:
                     arrays = {name: data[name] for name in data.files}
             header = json.loads(str(arrays.pop("header")))
-            columns = {name: arrays[name] for name in ARRAYS}
-            events, width = tuple(header["events"]), columns["twists"].shape[-1]
+            numbers = {name: np.asarray(values, float) for name, values in arrays.items()}
+            columns: dict[str, Any] = {name: numbers[name] for name in ARRAYS}
+            events, width = tuple(map(dict, header["events"])), columns["twists"].shape[-1]
             fps, first = Fraction(header["fps"]), int(header["start_frame"])
             known = str(header["vehicle"]), str(header["folder"]), dict(header.get("parameters", {}))
         except InputError as error:
             raise InputError(f"not a clip saved by vehsim: {error.message}", error.remedy, file=path) from None
         except Exception as error:  # raised by NumPy, by zip files, or by a foreign header
             raise InputError(f"not a clip saved by vehsim: {error}", "save it with clip.save", file=path) from None
-        return cls(
-            vehicle=_moving(vehicle or _vehicle_of(*known), width, path),
-            **columns,
-            channels=_group(arrays, "channel."),
-            energy=_group(arrays, "energy."),
-            commands=_group(arrays, "command."),
-            fps=fps,
-            start_frame=first,
-            events=events,
-        )
+        vehicle = _moving(vehicle or _vehicle_of(*known), width, path)
+        groups: dict[str, Any] = {group: _group(numbers, prefix) for group, prefix in GROUPS.items()}
+        try:
+            return cls(vehicle, **columns, **groups, fps=fps, start_frame=first, events=events)
+        except InputError as error:
+            raise InputError(f"not a clip saved by vehsim: {error.message}", error.remedy, file=path) from None
 
     def export(self, path: str | Path, to: str | Sequence[str] | None = None) -> Path:
         """Write the clip through an exporter, found by the suffix of ``path`` or named by ``to``. Returns the file

@@ -24,6 +24,9 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from vehsim.errors import Problem, ShotError
 from vehsim.intake.toml import line_of, lines_of, read_toml
 
+NAME = "[A-Za-z_][A-Za-z0-9_]{0,99}"
+"""The pattern of names of shots and of what is in them."""
+NOT_A_NAME = "not a name: letters, digits and _, no digit first, at most 100"
 WORDS = {
     "bool_type": "neither true nor false",
     "dict_type": "not a table",
@@ -39,7 +42,7 @@ WORDS = {
     "model_attributes_type": "not a table",
     "model_type": "not a table",
     "multiple_of": "not a multiple of {multiple_of:g}",
-    "string_pattern_mismatch": "not a name: letters, digits and _, no digit first, at most 100",
+    "string_pattern_mismatch": NOT_A_NAME,
     "string_too_long": "longer than {max_length} characters",
     "string_too_short": "empty",
     "string_type": "not a text",
@@ -125,6 +128,7 @@ PLACE = "place"
 AT = InSchema(lambda own: own | {"format": PLACE})
 Place = Annotated[Point, AT]
 Text = Annotated[str, Field(min_length=1, max_length=4096)]
+Name = Annotated[str, Field(pattern=f"^{NAME}$")]
 
 
 def read_table(path: Path, model: type[Table]) -> dict[str, Any]:

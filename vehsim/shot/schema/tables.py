@@ -22,7 +22,7 @@ from pydantic import (
 
 from vehsim.assets import REGISTRIES
 from vehsim.cameras.camera import CameraRig
-from vehsim.intake.tables import Array, InSchema, Metre, NotNegative, Number, Place, Point, Positive, Table, Text
+from vehsim.intake.tables import Array, InSchema, Metre, Name, NotNegative, Number, Place, Point, Positive, Table, Text
 from vehsim.requests.mark_frame import FREE, Timed
 from vehsim.world.world import MAX_WIND
 
@@ -109,7 +109,6 @@ Shutter = Annotated[list[Annotated[Number, Field(ge=-1, le=1)]], Array, Len(2, 2
 Size = Annotated[list[Annotated[int, Field(ge=16, le=MAX_PIXELS, multiple_of=2)]], Array, Len(2, 2)]
 Heading = Annotated[Number, Field(ge=-36_000, le=36_000)]
 Frame = Annotated[int, Field(ge=-10_000_000, le=10_000_000)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,99}$")]
 _RATE = {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": MAX_FPS}, {"type": "string"}]}
 Fps = Annotated[Fraction, PlainValidator(parse_fps), PlainSerializer(str), WithJsonSchema(_RATE)]
 MarkFrame = Annotated[

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from vehsim.constants import GRAVITY, SEA_WATER
 from vehsim.errors import InputError
+from vehsim.intake.foreign import reason_of
 from vehsim.runtime.cache import lookup, store
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles.definition.coefficients import Coefficients
@@ -130,6 +131,12 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
                 progress("hydro: waves", min(len(rows) / (FREQUENCIES + EXTRA + 1), 1.0))
             moving = [capytaine.RadiationProblem(radiating_dof=mode, omega=w, **common) for mode in modes]
             moved = solver.solve_all(moving, **options)
+            for row in moved:
+                if row.potential is None:  # it catches its errors
+                    remedy = "check its mass, or give a hull of well-shaped triangles"
+                    raise InputError(
+                        f"Capytaine cannot solve its waves ({reason_of(row.exception)})", remedy, subject=hull.name
+                    )
             added = np.array([[row.added_mass[mode] for mode in modes] for row in moved])
             if w == np.inf:
                 return (added,)
