@@ -108,7 +108,7 @@ def read_blocking(path: str | Path, prim: str, fps: Fraction, forward: str = "X"
     if last - first >= MAX_FRAMES:
         raise InputError(f"{last - first + 1} frames", f"at most {MAX_FRAMES} are read", key=prim, file=path)
     frames = np.arange(first, max(last, first) + 1, dtype=float)
-    matrices = _world_matrices(stage, xformable.GetPrim(), frames)
+    (matrices,) = _world_matrices(stage, [xformable.GetPrim()], frames)
     metres, up = _stage_frame(stage)
     positions = metres * matrices[:, :3, 3] @ up.T
     rotations = up @ nearest_rotations(matrices[:, :3, :3]) @ _nose(forward, up)
@@ -132,11 +132,16 @@ def read_edit(path: str | Path, prim: str, fps: Fraction, rig: Rig) -> Blocking:
 def rigid_poses(stage: Any, prim: Any, frames: Array, after: Array | None = None) -> Array:
     """World poses (n, 4, 4) of a prim in metres, Z up, without its scale; ``after`` (4, 4): a matrix behind the
     prim's own."""
+    return rigid_poses_of(stage, [prim], frames, after)[0]
+
+
+def rigid_poses_of(stage: Any, prims: Sequence[Any], frames: Array, after: Array | None = None) -> Array:
+    """The same poses (m, n, 4, 4) of several prims."""
     metres, up = _frame_of_layers(stage)
     to_metres = np.eye(4)
     to_metres[:3, :3] = metres * up
-    poses = to_metres @ _world_matrices(stage, prim, frames) @ (np.eye(4) if after is None else after)
-    poses[:, :3, :3] = nearest_rotations(poses[:, :3, :3])
+    poses = to_metres @ _world_matrices(stage, prims, frames) @ (np.eye(4) if after is None else after)
+    poses[..., :3, :3] = nearest_rotations(poses[..., :3, :3])
     return np.asarray(poses)
 
 
@@ -174,7 +179,7 @@ def write_over(blocking: Blocking, frames: Array, positions: Array, rotations: A
     world = np.tile(np.eye(4), (len(frames), 1, 1))
     world[:, :3, :3] = up.T @ rotations @ _nose(blocking.forward, up).T
     world[:, :3, 3] = positions @ up / metres
-    parents = _world_matrices(stage, xformable.GetPrim().GetParent(), frames)
+    (parents,) = _world_matrices(stage, [xformable.GetPrim().GetParent()], frames)
     reset = xformable.GetResetXformStack()
     local = world if reset else np.linalg.inv(parents) @ world
     start = np.array(xformable.GetLocalTransformation(float(frames[0]))).T
@@ -212,7 +217,7 @@ def _check_over(layer: Any, blocking: Blocking, frames: Array, world: Array, Usd
     both = Sdf.Layer.CreateAnonymous(".usda")
     both.subLayerPaths = [layer.identifier, str(blocking.path.resolve())]
     stage = Usd.Stage.Open(both)
-    shown = _world_matrices(stage, stage.GetPrimAtPath(blocking.prim), frames)
+    (shown,) = _world_matrices(stage, [stage.GetPrimAtPath(blocking.prim)], frames)
     off = np.linalg.norm(shown[:, :3, 3] - world[:, :3, 3], axis=1)
     size = 1.0 + float(np.abs(world[:, :3, 3]).max())
     if off.max() > 1e-6 * size:
@@ -277,19 +282,20 @@ def _nose(forward: str, up: Array) -> Array:
     return np.column_stack([nose, np.cross(top, nose), top])
 
 
-def _world_matrices(stage: Any, prim: Any, frames: Array) -> Array:
-    """Column-vector matrices (n, 4, 4) from a prim to the world of its stage."""
+def _world_matrices(stage: Any, prims: Sequence[Any], frames: Array) -> Array:
+    """Column-vector matrices (m, n, 4, 4) from prims to the world of their stage."""
     from pxr import UsdGeom
 
-    cache, matrices = UsdGeom.XformCache(), np.empty((len(frames), 4, 4))
+    cache, matrices = UsdGeom.XformCache(), np.empty((len(prims), len(frames), 4, 4))
     for k, frame in enumerate(frames.tolist()):
         cache.SetTime(frame)
-        matrices[k] = np.array(cache.GetLocalToWorldTransform(prim)).T
+        for matrix, prim in zip(matrices, prims, strict=True):
+            matrix[k] = np.array(cache.GetLocalToWorldTransform(prim)).T
     return matrices
 
 
 def nearest_rotations(matrices: Array) -> Array:
-    """The closest rotation to each matrix (n, 3, 3)."""
+    """The closest rotation to each matrix (..., 3, 3)."""
     u, _, v = np.linalg.svd(matrices)
     turn = np.sign(np.linalg.det(u @ v))
     u[..., -1] *= turn[..., None]

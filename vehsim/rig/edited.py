@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.usd import open_stage
-from vehsim.rig.blocking import nearest_rotations, rigid_poses
+from vehsim.rig.blocking import nearest_rotations, rigid_poses, rigid_poses_of
 from vehsim.rig.ops import open_rig
 from vehsim.rig.posed import posed
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 MOVED, TURNED = 2e-3, 0.2
 """Distance, m, and angle, degrees, above which a prim counts as moved."""
+STILL = 1e-9
+"""Change of an entry of a pose up to which a part stands still on its vehicle: one frame is enough for it."""
 
 
 @dataclass(frozen=True)
@@ -78,14 +80,21 @@ def parts_moved(
     parts = {path: prim for path in _parts(asset_root) if (prim := _counterpart(above, path)) is not None}
     still = np.tile(np.eye(4), (len(frames), 1, 1))
     expected = {path: _rigid(world) for path, world in posed(rig, still, channels, frames, rate, parts).items()}
-    to_root = np.linalg.inv(rigid_poses(stage, above, frames))
+    to_root = np.linalg.inv(expected[""])
+    wanted = {path: np.broadcast_to(to_root @ expected[path], (len(frames), 4, 4)) for path in parts}
+    moving = [
+        path for path, prim in parts.items() if np.ptp(wanted[path], axis=0).max() > STILL or _varies(prim, above)
+    ]
+    shown: dict[str, Array] = {}
+    for paths, at in ((moving, frames), ([path for path in parts if path not in moving], frames[:1])):
+        carrier, *poses = rigid_poses_of(stage, [above, *(parts[path] for path in paths)], at)
+        shown |= {path: np.linalg.inv(carrier) @ pose for path, pose in zip(paths, poses, strict=True)}
     found: list[Moved] = []
-    for path, prim in parts.items():
+    for path in parts:
         if _below(path, found):
             continue
-        wanted = np.linalg.inv(expected[""]) @ expected[path]
-        shown = to_root @ rigid_poses(stage, prim, frames)
-        found += _apart(path, frames, np.broadcast_to(wanted, shown.shape), shown, *_loose(rig, path, curves))
+        own = shown[path]
+        found += _apart(path, frames, wanted[path][: len(own)], own, *_loose(rig, path, curves))
     return found
 
 
@@ -93,7 +102,7 @@ def _loose(rig: Rig, path: str, curves: Tolerances | None) -> tuple[float, float
     """How far curves may move, m, and turn, degrees, a part relative to the root: they and those that carry it."""
     if curves is None:
         return 0.0, 0.0
-    carriers = [c for c, drive in rig.drives.items() if drive.prim == path or path.startswith(f"{drive.prim}/")]
+    carriers = [c for c, drive in rig.drives.items() if path == drive.prim or path.startswith(f"{drive.prim}/")]
     turned = [abs(rig.drives[c].factor) * curves.channels[c] for c in carriers if rig.drives[c].op.startswith("rotate")]
     return curves.distance * len(carriers), float(np.degrees(curves.angle + sum(turned)))
 
@@ -129,12 +138,13 @@ def _can_move(prim: Any) -> bool:
     return bool(prim and prim.IsA(UsdGeom.Xformable))
 
 
-def _varies(prim: Any) -> bool:
-    """Whether a prim, or one above it, has keys."""
+def _varies(prim: Any, within: Any = None) -> bool:
+    """Whether a prim or one above it has keys; with ``within``, a prim above, whether it may move relative to that."""
     from pxr import UsdGeom
 
-    while prim and not prim.IsPseudoRoot():
-        if _can_move(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+    while prim and not prim.IsPseudoRoot() and prim != within:
+        own = UsdGeom.Xformable(prim)
+        if _can_move(prim) and (own.TransformMightBeTimeVarying() or (within and own.GetResetXformStack())):
             return True
         prim = prim.GetParent()
     return False
