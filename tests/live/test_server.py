@@ -585,13 +585,13 @@ def test_the_session_ends_while_its_scene_is_made(path, monkeypatch):
     """Such as that of a boat in a sea, which takes a while; its browser is busy, too."""
     made = []
 
-    def forever(take, *_, progress, **how):
+    def forever(take, folder, names, progress):
         made.append(take)
         while True:
             progress("usd", 0.5)
             time.sleep(0.01)
 
-    monkeypatch.setattr("vehsim.delivery.take.Take.export", forever)
+    monkeypatch.setattr("vehsim.delivery.exporters.write_files", forever)
 
     async def play():
         async with served(path) as address, browser(address) as page:

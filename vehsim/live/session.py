@@ -234,6 +234,7 @@ class Session:
 
         Water is that of the first frame; `water` follows.
         """
+        from vehsim.delivery.exporters import write_files
         from vehsim.exporters.usd.stage import StageReader
 
         assert self._on_screen is not None
@@ -241,7 +242,8 @@ class Session:
         self._draws("drawing", 0.0)
         self._scenes.cleanup()
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")  # USD remembers the layers of an open path
-        folder = take.export(self._scenes.name, to=("usd",), progress=self._draws)
+        folder = Path(self._scenes.name)
+        write_files(take, folder, ("usd",), self._draws)
         stage = StageReader(folder / f"{take.name}.usda", moving=movable(take))
         self._kinematics = Kinematics(take, stage)
         self._drawn_handles = {handle.key: handle for handle in self._solved_handles}

@@ -16,7 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.exporters.usd.scenery import lighting
 from vehsim.exporters.usd.scenery.lighting import fractal_noise
+from vehsim.runtime.cache import kept
+from vehsim.runtime.code import code
 
 Array = NDArray[np.float64]
 
@@ -99,7 +102,12 @@ def _read(tile: NDArray[np.float32], u: Array, v: Array) -> NDArray[np.float32]:
 @lru_cache(maxsize=1)
 def lace() -> NDArray[np.float32]:
     """A repeating tile (k, k) of foam: 1 where it lasts longest, in threads between round holes, to 0, evenly spread
-    over the tile's texels."""
+    over the tile's texels. It is cached: it takes nearly a second."""
+    by = code((Path(__file__), Path(lighting.__file__)))
+    return np.frombuffer(kept("lace", by, lambda: _lace().tobytes()), np.float32).reshape(LACE, LACE)
+
+
+def _lace() -> NDArray[np.float32]:
     from scipy.spatial import cKDTree
 
     axis = (np.arange(LACE) + 0.5) / LACE

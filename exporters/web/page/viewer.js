@@ -2,7 +2,7 @@
 // Lengths are metres, Z is up, times are frames; quaternions are x, y, z, w.
 "use strict";
 
-const vehsim = {};
+const vehsim = { keys: [] }; // keys and what they do, beside those of the viewer
 
 (() => {
   const KINDS = { f4: Float32Array, i1: Int8Array, u1: Uint8Array, i2: Int16Array, u4: Uint32Array };
@@ -726,7 +726,7 @@ const vehsim = {};
       toggle("ghosts", "the vehicles at their marks (G)");
       toggle("cameras", "the shot's cameras (C)");
       button("keys", "?", "keys", () => (element("help").hidden = !element("help").hidden));
-      const rows = KEYS.map(([key, what]) => `<tr><td>${key}</td><td>${what}</td></tr>`).join("");
+      const rows = [...KEYS, ...vehsim.keys].map(([key, what]) => `<tr><td>${key}</td><td>${what}</td></tr>`).join("");
       element("help").innerHTML = `<table>${rows}</table>`;
       this.lookThrough(this.through);
     }
@@ -860,9 +860,13 @@ const vehsim = {};
       ink.font = "12px system-ui, sans-serif";
       const right = share * width + 8 + ink.measureText(text).width < width;
       ink.textAlign = right ? "left" : "right";
+      ink.strokeStyle = "#22252a"; // of the bar, so that curves do not cross the text
+      ink.lineWidth = 4;
       [{ color: "#fff", text }, ...others.map(({ color, values }) => ({ color, text: shown(values) }))].forEach((line, k) => {
         ink.fillStyle = line.color;
-        ink.fillText(line.text, share * width + (right ? 6 : -6), 14 * (k + 1));
+        const place = [line.text, share * width + (right ? 6 : -6), 14 * (k + 1)];
+        ink.strokeText(...place);
+        ink.fillText(...place);
       });
     }
   }

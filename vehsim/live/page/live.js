@@ -3,9 +3,10 @@
 
 (() => {
   const element = (id) => document.getElementById(id);
-  const NEAR = 16; // px
+  const NEAR = 16, SAME = 4; // px
+  const LIT = 0xffe066;
   const DEGREES = 180 / Math.PI;
-  let socket, editor = false, state = null, dragged = null, grips = [];
+  let socket, editor = false, state = null, dragged = null, grips = [], lit = {};
 
   const panel = document.createElement("aside");
   panel.id = "panel";
@@ -45,6 +46,11 @@
     buttons[kind].addEventListener("click", () => { send({ kind }); buttons[kind].blur(); });
     element("buttons").append(buttons[kind]);
   }
+
+  vehsim.keys.push(
+    ["drag a ring", "move a mark or another place; with Shift up and down"], ["drag an arrow", "turn it"],
+    ["Ctrl Z", "undo; with Shift redo"], ["Ctrl S", "save"], ["H", "hide or show the panel"],
+  );
 
   vehsim.live = { send, status, get editor() { return editor; }, get state() { return state; }, get grips() { return grips; } };
 
@@ -168,9 +174,9 @@
     const same = marks.length === viewer.rings.length; // else the motion on the screen has other marks than the file
     const own = same ? others : [...others, ...marks], rings = viewer.setHandles(own);
     viewer.setNotes(state.notes);
-    grips = own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) }));
     for (const ring of viewer.rings) ring.visible = same;
-    if (same) grips.push(...marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })));
+    grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })) : [];
+    grips.push(...own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) })));
     for (const grip of grips) carry(grip);
     const now = dragged && grips.find((grip) => grip.handle.key === dragged.handle.key);
     if (!now) {
@@ -201,7 +207,7 @@
     }
   }
 
-  /** What is under the pointer: a grip, and whether its arrow was hit. */
+  /** What is under the pointer: a grip, and whether its arrow was hit. Where several are, marks come first. */
   function under(event) {
     const viewer = vehsim.viewer;
     if (!viewer || !editor || !viewer.shown.paths) return null;
@@ -209,9 +215,19 @@
     for (const grip of grips) for (const turning of grip.turns ? [true, false] : [false]) {
       const at = pixels(turning ? tip(grip.ring) : grip.ring.position);
       const away = at && Math.hypot(at.x - event.clientX, at.y - event.clientY);
-      if (at && away < NEAR && (!best || away < best.away)) best = { grip, turning, away };
+      if (at && away < (best ? best.away - SAME : NEAR)) best = { grip, turning, away };
     }
     return best;
+  }
+
+  /** Brighten the ring that a press would grab. */
+  function light(ring) {
+    if (lit.ring === ring) return;
+    const paint = (one, colour, over) => { one.material.color.set(colour); one.renderOrder += over; };
+    if (lit.ring) paint(lit.ring, lit.colour, -1);
+    lit = { ring, colour: ring && ring.material.color.clone() };
+    if (ring) paint(ring, LIT, 1); // over others in its place
+    vehsim.viewer.stale = true;
   }
 
   function message(kind) {
@@ -236,6 +252,7 @@
   function drag(event) {
     if (!dragged) {
       const hit = vehsim.viewer && under(event);
+      light(hit && hit.grip.ring);
       element("view").style.cursor = hit ? "grab" : "";
       element("view").title = hit ? hit.grip.handle.key : "";
       return;
