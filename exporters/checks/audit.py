@@ -156,7 +156,8 @@ class Delivered:
 class StageScene(Scene):
     """A vehicle's surroundings in a stage, read from the stage alone; moving obstacles count in their current pose.
 
-    The vehicle is its collision meshes, or all its meshes if it has none, in the stage's poses.
+    The vehicle is its collision meshes, or all its meshes if it has none, in the stage's poses. On the ground, walls and
+    roofs of a terrain with overhangs count where it is in them; its distance outside is measured on the clip only.
     """
 
     def __init__(
@@ -235,7 +236,8 @@ class StageScene(Scene):
         solids: list[_Solid | _Ground] = [*self._standing, *(body.at(frame) for body in self._moving)]
         if self._terrain is not None and not obstacles_only:
             solids.append(self._terrain)
-        if not solids:
+        walls = self._terrain if obstacles_only and self._terrain is not None and self._terrain.overhangs else None
+        if not solids and walls is None:
             return np.inf
         centres = np.vstack([cloud.placed(frame, cloud.centres) for cloud in self._own])
         radii = np.concatenate([cloud.radii for cloud in self._own])
@@ -244,11 +246,17 @@ class StageScene(Scene):
             away = solid.away(centres)
             near = away - radii < min(nearest, float((away + radii).min()))
             if near.any():
-                ends = np.cumsum([len(cloud.radii) for cloud in self._own])[:-1]
-                pieces = zip(self._own, np.split(near, ends), strict=True)
-                points = np.vstack([cloud.placed(frame, cloud.within(chosen)) for cloud, chosen in pieces])
-                nearest = min(nearest, float(solid.away(points).min()))
+                nearest = min(nearest, float(solid.away(self._within(frame, near)).min()))
+        if walls is not None:
+            near = walls.away(centres) < radii
+            nearest = min(nearest, float(walls.in_walls(self._within(frame, near)).min(initial=np.inf)))
         return nearest
+
+    def _within(self, frame: float, chosen: NDArray[np.bool_]) -> Array:
+        """The vehicle's points (n, 3) m in ``chosen`` balls at a frame."""
+        pieces = np.split(chosen, np.cumsum([len(cloud.radii) for cloud in self._own])[:-1])
+        own = zip(self._own, pieces, strict=True)
+        return np.vstack([cloud.placed(frame, cloud.within(some)) for cloud, some in own])
 
 
 def _tread(points: Array) -> NDArray[np.bool_]:
@@ -395,6 +403,17 @@ class _Ground:
             above = points[:, 2] - self._seen_from_above(points)
         squared = np.asarray(self.tree.squared_distance(self.points, self.faces, np.ascontiguousarray(points))[0])
         return np.where(above < 0, above, np.sqrt(np.maximum(squared, 0.0)))
+
+    def in_walls(self, points: Array) -> Array:
+        """Minus the distance (n,) m to the surface of points (n, 3) in rock that rises more than `STEP` above them, as
+        for a vehicle that drives through a wall; inf for others, also in the ground on which it stands."""
+        found = np.full(len(points), np.inf)
+        if len(points):
+            rise, up = self._first(points, 1.0)
+            inside = (up > 0) & (rise > STEP)
+            rock = np.ascontiguousarray(points[inside])
+            found[inside] = -np.sqrt(np.asarray(self.tree.squared_distance(self.points, self.faces, rock)[0]))
+        return found
 
 
 def _upward(points: Array, faces: Ints) -> Array:

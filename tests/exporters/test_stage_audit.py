@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from vehsim.audit import missed
 from vehsim.errors import InputError
@@ -182,6 +183,27 @@ def test_a_car_that_floats_or_sinks_is_refused(tmp_path: Path) -> None:
     assert keys(folder) == {"wheels"}
     edit(folder, lambda frame, p: np.add(p, [0, 0, -0.016 * (frame == 1030)]))
     assert keys(folder) == {"wheels"}
+
+
+@pytest.mark.parametrize(("aside", "within"), [(0.0, False), (1.5, False), (2.5, True), (3.5, True)])
+def test_a_car_in_the_wall_of_a_tunnel_is_reported(tmp_path: Path, aside: float, within: bool) -> None:
+    """The depth of its deepest side is known: walls stand 3 m from the middle of the way, on which it was driven."""
+    from vehsim.vehicles import load_vehicle
+    from vehsim.world.obstacles.obstacles import hulls_of
+
+    rock = [((-30, -25, -5), (30, 25, 0)), ((-10, -15, -1), (10, -3, 8)), ((-10, 3, -1), (10, 15, 8))]
+    roof = ((-10, -3, 3), (10, 3, 8))
+    trimesh.boolean.union([trimesh.creation.box(bounds=b) for b in (*rock, roof)]).export(tmp_path / "tunnel.obj")
+    start = {"position": [-20, 0, 0], "velocity": [12, 0, 0]}
+    motion = {"method": "simulate", "duration": 2, "start": start}
+    data = CAR | {"vehicle": [{"name": "heli", "asset": "car", "motion": motion}]}
+    data |= {"shot": {"schema": 1, "name": "over"}, "world": {"terrain": str(tmp_path / "tunnel.obj")}}
+    folder = Shot.from_dict(data).solve().export(tmp_path / "out", ("usd",))
+    edit(folder, lambda frame, p: np.add(p, [0, aside, 0]))
+    (row,) = [row for row in audit_delivery(folder)["heli"] if row.key == "contact"]
+    side = max(float(hull[:, 1].max()) for hull in hulls_of(load_vehicle("car")))
+    assert row.met is not within
+    assert row.value == (pytest.approx(3 - aside - side, abs=0.01) if within else np.inf)
 
 
 def test_wheels_on_a_rigid_body_cannot_all_touch_rough_ground(tmp_path: Path) -> None:
