@@ -156,8 +156,8 @@ class Delivered:
 class StageScene(Scene):
     """A vehicle's surroundings in a stage, read from the stage alone; moving obstacles count in their current pose.
 
-    The vehicle is its collision meshes, or all its meshes if it has none, in the stage's poses. On the ground, walls and
-    roofs of a terrain with overhangs count where it is in them; its distance outside is measured on the clip only.
+    The vehicle is its collision meshes, or all its meshes if it has none, in the stage's poses. On the ground, walls
+    and roofs of a terrain with overhangs count where it is in them; its distance outside is measured on the clip only.
     """
 
     def __init__(
