@@ -47,6 +47,7 @@ def test_a_mark_is_dragged_with_the_mouse(tmp_path):
             x, y = await page.value(PLACE)
             await page.mouse("Moved", x, y)
             await page.until("document.getElementById('view').style.cursor === 'grab'")
+            assert await page.value("vehsim.viewer.rings[1].material.color.getHexString()") == "ffe066"
             await page.mouse("Pressed", x, y)
             before = await page.value("vehsim.viewer.lines.get('car').geometry.attributes.position.array.at(-3)")
             for k in range(1, 6):
@@ -223,6 +224,7 @@ def test_a_car_is_driven_with_keys_held_down(tmp_path):
             await page.until("!vehsim.drive.driven")
             await page.until(f"{SOLVED} && !document.getElementById('do-drive-on').disabled")
             assert await page.value("document.getElementById('pads').hidden && !vehsim.viewer.trail")
+            assert await page.value("vehsim.viewer.orbit.target.distanceTo(vehsim.viewer.subject()) < 1e-6")
 
     asyncio.run(play())
     rows = (tmp_path / "drive.car.001.csv").read_text().splitlines()

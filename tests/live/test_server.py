@@ -10,7 +10,6 @@ import time
 import urllib.error
 import urllib.request
 from contextlib import asynccontextmanager
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,37 +18,17 @@ pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[l
 
 from websockets.asyncio.client import connect
 
+from benchmarks.hostile_messages import MARK, SHOT, hostile
 from tests.live.block import Block
 from vehsim import Shot
 from vehsim.errors import InputError
 from vehsim.live import server as live_server
 from vehsim.live import session as live_session
-from vehsim.live.messages import Drag, Message, Place
+from vehsim.live.messages import Drag, Place
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 
 PATIENCE = 600.0  # s, on a busy machine
-SHOT = """\
-[shot]
-schema = 1
-name = "drive"
-[[vehicle]]
-name = "car"
-asset = "car"
-[vehicle.motion]
-method = "plan"
-segments = 8
-[[vehicle.motion.mark]]
-frame = 1001
-position = [0, 0, 0]
-heading = 0
-velocity = [0, 0, 0]
-[[vehicle.motion.mark]] # the garage
-frame = 1073
-position = [8, 1, 0]
-heading = 0
-velocity = [0, 0, 0]
-"""
 
 
 class Browser:
@@ -96,9 +75,6 @@ def path(tmp_path):
     path = tmp_path / "drive.toml"
     path.write_text(SHOT)
     return path
-
-
-MARK = "vehicle[0].motion.mark[1].position"
 
 
 def points(draft):
@@ -637,22 +613,6 @@ def test_nothing_that_is_sent_ends_the_session(path):
         assert path.read_text() == SHOT
 
     asyncio.run(play())
-
-
-HOSTILE = [
-    None, True, 0, -1, 7, 10**30, 1e308, 0.5, "", "car", "../../shot", "/etc/passwd", MARK, "x" * 201, "\x00", [], [[]],
-    [8.0, 1.2, 0.0], [1e300] * 3, ["../drive.car.001.csv"], {}, {"kind": "drag"},
-]  # fmt: skip
-
-
-def hostile(rng):
-    """A message of a known kind whose fields have values of any kind, or such a text with a character changed."""
-    model = get_args(Message)[rng.integers(len(get_args(Message)))]
-    kinds = get_args(model.model_fields["kind"].annotation)
-    fields = {name: HOSTILE[rng.integers(len(HOSTILE))] for name in model.model_fields if rng.random() < 0.9}
-    text = json.dumps(fields | {"kind": kinds[rng.integers(len(kinds))]})
-    at = rng.integers(len(text))
-    return text if rng.random() < 0.8 else text[:at] + chr(rng.integers(32, 0xD7FF)) + text[at + 1 :]
 
 
 def test_random_messages_neither_end_the_session_nor_leave_its_folder(tmp_path):

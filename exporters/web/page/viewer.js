@@ -379,11 +379,14 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       this.stale = true;
     }
 
-    /** Show the solved motion again after a drive. */
+    /** Show the solved motion again after a drive, and the vehicle where it is in the present frame. */
     endLive() {
-      if (!this.trail) return;
-      this.scene.remove(this.trail.line);
+      if (this.trail) this.scene.remove(this.trail.line);
       this.trail = null;
+      const moved = (this.subject() || this.orbit.target.clone()).sub(this.orbit.target);
+      this.camera.position.add(moved);
+      this.orbit.target.add(moved);
+      this.orbit.update();
       this.show(this.frame);
     }
 
@@ -484,12 +487,12 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
 
     /** Take over frame, view and switches of another viewer, and end that one. */
     replace(other) {
+      this.show(other.frame); // first: it moves the camera with the vehicle
       this.camera.position.copy(this.local(other.world(other.camera.position)));
       this.orbit.target.copy(this.local(other.world(other.orbit.target)));
       this.orbit.update();
       if (other.through < this.cameras.length) this.lookThrough(other.through);
       for (const key of Object.keys(this.shown)) if (this.shown[key] !== other.shown[key]) element(`show-${key}`).click();
-      this.show(other.frame);
       other.close();
     }
 
