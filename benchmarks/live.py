@@ -150,10 +150,11 @@ def main() -> None:
         "order; half have fields of any kind or a damaged character. Browsers close at any time, also in drags and",
         "drives. Then everything is undone, a mark is placed, and that is solved.",
         "",
-        f"{heard['refused'] + heard['undrawn']} messages were refused with their error. Together, the browsers received",
-        f"{heard['draft']} drafts, {heard['motion'] + heard['scene']} motions, the ends of {heard['driven']} drives",
-        f"and {heard['said']} reports of saves and exports; {heard['left']} browsers closed. {heard['strangers']} files were",
-        f"written that a session does not write, in the shot's folder or beside it. It took {heard['cpu'] / 1e3:.0f} s.",
+        f"{heard['refused'] + heard['undrawn']} messages were refused with their error.",
+        f"Together, the browsers received {heard['draft']} drafts, {heard['motion'] + heard['scene']} motions,",
+        f"the ends of {heard['driven']} drives and {heard['said']} reports of saves and exports; {heard['left']} browsers closed.",
+        f"{heard['strangers']} files were written that a session does not write, in the shot's folder or beside it.",
+        f"It took {heard['cpu'] / 1e3:.0f} s.",
         "",
     ]
     Path(__file__).with_name("RESULTS.live.md").write_text(headed("\n".join(lines)), encoding="utf-8")
