@@ -158,6 +158,18 @@ def test_a_body_at_rest_wakes_when_it_is_touched(block):
     assert event["time"] == pytest.approx(1.0 + 0.6, abs=5e-3) and event["speed"] == pytest.approx(1.0, rel=1e-2)
 
 
+def test_a_body_rests_until_a_moving_obstacle_is_near(block):
+    """One comes from four metres away, moving all the time, and hits it at its full speed when it should."""
+    begin = State(position=(-4.6, 0, 0.25), twist=(0, 0, 0, 3.0, 0, 0))
+    ram = vehsim.simulate(block(gravity=0.0), None, None, begin, duration=1.4, step=1 / 24)
+    world = World(obstacles=[FLOOR, moving("ram", ram)], contact=Contact(0.3, 0.1, 3.0))
+    clip = vehsim.simulate(block(), world, None, State(position=(0, 0, 0.2)), duration=1.25, step=1 / 24)
+    assert not clip.twists[(clip.times > 0.6) & (clip.times < 0.8)].any()
+    (event,) = [event for event in clip.events if event["with"] == "ram"]
+    assert event["time"] == pytest.approx(3.6 / 3, abs=2e-3) and event["speed"] == pytest.approx(3.0, rel=1e-2)
+    assert clip.twists[-1, 3] == pytest.approx(3.0 * 1.1, rel=0.1)
+
+
 def test_a_boat_on_a_beach_rests_until_it_is_touched(block):
     """Its keel stops on the sand, its stern afloat; a ram wakes it and pushes it along."""
     x = np.arange(-60.0, 61.0, 2.0)

@@ -81,7 +81,7 @@ class Led:
         # before and after its motion it stands still
         omega, v = (rows[0] if first <= since <= last else np.zeros(3) for rows in spatial(motion))
         self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
-        self.R_wr = matrices(self.orientation)
+        self.centre, self.R_wr = self.position, matrices(self.orientation)
         self.omega = self.R_wr @ omega
         self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * moving.reach) + ALLOWANCE
 

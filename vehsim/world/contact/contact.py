@@ -51,6 +51,8 @@ ROOM = 1.0
 """Assumed increase of speeds until then, m/s."""
 STILL = 2e-3
 """Speed below which bodies that do not slide are at rest, m/s."""
+COMING = 0.25
+"""A moving obstacle that can touch a body within this time keeps it awake, s; longer than any step of a simulation."""
 AHEAD = 0.5
 """Largest step, as a share of the time to the next contact."""
 MONITORED = 1.0
@@ -250,10 +252,12 @@ class ContactScene:
         impact = RESOLVED / (1 + self.contact.damping) / self.contact.frequency
         self.next_step = max(impact if brisk > GENTLE else self.contact.step, AHEAD * self._soon)
         touching = {owner for a, b, _ in pairs for owner in (a, b)}
+        vehicles, obstacles = moving[: len(self.bodies)], moving[len(self.bodies) :]
+        near = [led for led in obstacles if any(_can_reach(led, vehicle) for vehicle in vehicles)]
         self.settled = (
             touching.issuperset(range(len(self.bodies)))
             and not any(grip.slides for grip in self._grips.values())
-            and all(m.fastest - ALLOWANCE < STILL for m in moving)
+            and all(m.fastest - ALLOWANCE < STILL for m in [*vehicles, *near])
         )
         self._note(t, forces)
         return total[: len(self.bodies)]
@@ -396,6 +400,12 @@ def _toward(a: MovingBody | Led, b: MovingBody | Led | None, place: Array, norma
         velocity, turning, reach = velocity - b.velocity(place), turning - b.omega, min(reach, b.body.reach)
     closing = max(-float(velocity @ normal), 0.0)
     return closing, closing + 2 * reach * float(np.linalg.norm(turning)) + ROOM
+
+
+def _can_reach(obstacle: MovingBody | Led, vehicle: MovingBody | Led) -> bool:
+    """Whether a moving obstacle can touch a vehicle that stands still within `COMING`, by spheres that contain them."""
+    gap = float(np.linalg.norm(obstacle.centre - vehicle.centre)) - obstacle.body.reach - vehicle.body.reach
+    return gap < COMING * obstacle.fastest
 
 
 def _plain(name: str) -> str:
