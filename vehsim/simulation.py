@@ -373,7 +373,7 @@ def _on_water(vehicle: Vehicle, world: World | None, start: State | None) -> tup
             from vehsim.world.water.buoyancy import Afloat
 
             assert world is not None
-            start = Afloat(vehicle, world).at_rest()
+            start = Afloat(vehicle, world).riding()
         return vehicle, start
     if vehicle.planar is None:
         return vehicle, start

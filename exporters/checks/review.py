@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 ALWAYS = ("acceleration", "bank", "g_load")
 """Limits that every review shows, with or without an envelope."""
+BY_WAVES = frozenset({"acceleration", "jerk"})
+"""What waves determine more than a driver."""
 ROOM = 0.1
 """Share of the envelope by which a motion may exceed it: plans hold to its limits by prices."""
 POINTS = 240
@@ -47,9 +49,12 @@ SETTLES = 2.0
 """Seconds before and after rest in which a vehicle settles."""
 
 
-def review(clip: Clip, wind: ArrayLike = (0.0, 0.0, 0.0), character: str = NORMAL) -> list[dict[str, Any]]:
+def review(
+    clip: Clip, wind: ArrayLike = (0.0, 0.0, 0.0), character: str = NORMAL, *, waves: bool = False
+) -> list[dict[str, Any]]:
     """What a clip in a ``wind`` (3,) m/s shows beside the envelope of a character, as JSON data: one row per quantity.
 
+    On ``waves``, acceleration and jerk of a boat have no envelope: that is one of driving, and there the sea moves it.
     ``name``, ``unit``, ``worst`` and its ``frame``, the ``envelope`` (None: there is none) and its ``source``,
     ``inside`` (None without envelope), and a ``curve``: frames and values. SI units, radians.
     """
@@ -59,6 +64,8 @@ def review(clip: Clip, wind: ArrayLike = (0.0, 0.0, 0.0), character: str = NORMA
         known = np.flatnonzero(np.isfinite(values))
         if not len(known):
             continue
+        if waves and name in BY_WAVES and vehicle.hull is not None:
+            trait = None
         k = known[np.argmax(values[known])]
         worst = float(np.mean(values[known] >= 1 - AT_BOUND) if name in SHARES_OF_TIME else values[k])
         envelope = None if trait is None else trait.of(character)

@@ -33,7 +33,7 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         "frames": list(take.frames),
         "terrain": take.world.terrain.name if take.world.terrain is not None else None,
         "wind": take.world.wind,
-        "vehicles": {name: _clip_summary(clip, take.world.wind) for name, clip in take.clips.items()},
+        "vehicles": {name: _clip_summary(clip, take.world) for name, clip in take.clips.items()},
         "cameras": {camera.name: {"lens_mm": _lenses(camera)} for camera in take.cameras},
         "solved": solved,
         "audit": audit,
@@ -75,7 +75,7 @@ def _lenses(camera: Any) -> float | list[float]:
     return lenses[0] if len(lenses) == 1 else lenses
 
 
-def _clip_summary(clip: Any, wind: Any) -> dict[str, Any]:
+def _clip_summary(clip: Any, world: Any) -> dict[str, Any]:
     speeds = np.linalg.norm(clip.twists[:, -3:] if clip.twists.shape[1] == 6 else clip.twists[:, 1:], axis=1)
     return {
         "vehicle": clip.vehicle.name,
@@ -86,7 +86,7 @@ def _clip_summary(clip: Any, wind: Any) -> dict[str, Any]:
         "top_speed_m_s": float(speeds.max()),
         "events": list(clip.events),
         "energy_J": _ledger(clip.energy),
-        "review": review(clip, wind),
+        "review": review(clip, world.wind, waves=world.waves),
     }
 
 

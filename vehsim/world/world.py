@@ -130,6 +130,11 @@ class World:
         """The obstacles that move."""
         return tuple(obstacle for obstacle in self.obstacles if isinstance(obstacle, Moving))
 
+    @property
+    def waves(self) -> bool:
+        """Whether its water has waves."""
+        return self.water is not None and not self.water.flat
+
     def height(self, xy: ArrayLike) -> Array:
         """Height (n,) m of the ground at ``xy`` (n, 2) m; -inf without terrain."""
         points = np.atleast_2d(np.asarray(xy, dtype=float))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 Values = NDArray[np.float64]
 
+FAR = 0.5
+"""Distance of a boat's start from the water, m, without a warning."""
 SAME = 10
 """Decimals of seconds: a row of a table and a knot are at the same time if they agree in these."""
 
@@ -88,7 +91,21 @@ class ForwardMotion(Table):
 
         if not (self.start.model_fields_set or flies(vehicle)):
             return None
-        return as_state(self.start, vehicle, context.world.wind)
+        given, water = self.start, context.world.water
+        rides = given.afloat and given.orientation is None and not np.any([*given.spin, given.velocity[2]])
+        if not rides or water is None or vehicle.hull is None:
+            return as_state(given, vehicle, context.world.wind)
+        from vehsim.world.water.buoyancy import Afloat
+
+        heading, z = float(np.deg2rad(given.heading or 0.0)), given.position[2]
+        start = Afloat(vehicle, context.world).riding(given.position[:2], heading, given.velocity[:2])
+        if min(abs(z - start.position[2]), abs(z - water.level)) > FAR:
+            warnings.warn(
+                f"{vehicle.name}: starts at z = {z:.2f} m and was put on the water, at {start.position[2]:.2f} m; "
+                "start it there, or write afloat = false to drop it",
+                stacklevel=2,
+            )
+        return start
 
     def seconds(self, context: Context) -> float:
         """The duration, s."""

@@ -13,13 +13,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.integrators.carried import carried, carry_on
 from vehsim.integrators.environment import Environment
-from vehsim.lie.quaternions import cross, matrices
+from vehsim.lie.quaternions import conjugate, cross, matrices, product, rotate, rotation_vectors, yaw_tilt
 from vehsim.vehicles.definition.base import State
 from vehsim.vehicles.definition.coefficients import LEVEL
 from vehsim.world.water.height_field import MOST, WaterField
@@ -38,7 +38,7 @@ from vehsim.world.water.hull_mesh import (
 from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.motion import Motion
 from vehsim.world.water.potential import Response, response
-from vehsim.world.water.running import Law, Lift, law_of
+from vehsim.world.water.running import Law, Lift, law_of, steady
 from vehsim.world.water.seakeeping import Seakeeping
 from vehsim.world.water.water import Water
 
@@ -62,6 +62,10 @@ OTHER = 0.1
 """Coefficients are those of another hull if it floats higher or lower by this share of its mean draft."""
 PANEL = 1 / 7
 """Longest edge of the panels that determine how waves act on the hull, as a share of its size."""
+PLACES = 9
+"""Places along and across the hull at which a boat that starts on waves meets their surface."""
+INSTANT = 1e-3
+"""Time from which its first velocity is taken, s."""
 PANELS = 300
 """Hulls with more faces are simplified to this many before."""
 
@@ -241,10 +245,34 @@ class Afloat(Environment):
         height = brentq(lambda z: cut(z).volume(up) - self.rest_volume, low, high, xtol=1e-13)
         return float(height), cut(height)
 
-    def at_rest(self) -> State:
-        """The state afloat at the origin, upright on the local surface, at rest."""
-        height = self.floating()[0] + float(self.water.height(np.zeros((1, 2)), 0.0)[0]) - self.vehicle.origin[2]
-        return State(position=np.array([0.0, 0.0, height]))
+    def riding(self, place: ArrayLike = (0.0, 0.0), heading: float = 0.0, velocity: ArrayLike = (0.0, 0.0)) -> State:
+        """The state of a boat that rides the water at t = 0: with its root at ``place`` (2,) m, its nose at ``heading``
+        rad, and a horizontal ``velocity`` (2,) m/s, world axes.
+
+        It follows the plane that is closest to the surface under its hull, as high and with its bow as high as it runs
+        at that speed on calm water.
+        """
+        place, velocity = np.asarray(place, float), np.asarray(velocity, float)
+        turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+        ahead = float(velocity @ turn[:, 0])
+        height, trim = steady(self, ahead, self.law.at(ahead))
+        low, high = self.mesh.points[:, :2].min(axis=0), self.mesh.points[:, :2].max(axis=0)
+        x, y = (rows.ravel() for rows in np.meshgrid(*np.linspace(low, high, PLACES).T, indexing="ij"))
+        plane = np.linalg.pinv(np.column_stack([np.ones_like(x), x, y]))
+
+        def pose(t: float) -> tuple[Array, Array]:
+            root = place + velocity * t
+            origin = root + turn @ self.vehicle.origin[:2]
+            level, rise, lean = plane @ self.water.height(origin + np.column_stack([x, y]) @ turn.T, t)
+            angles = np.array([heading, -np.arctan(rise) - trim, np.arctan(lean)])
+            orientation = yaw_tilt(*angles[:, None])[0]
+            return np.append(root, level + height - rotate(orientation, self.vehicle.origin)[2]), orientation
+
+        (position, orientation), (later, turned) = pose(0.0), pose(INSTANT)
+        back = conjugate(orientation)
+        spin = rotation_vectors(product(back, turned)) / INSTANT
+        twist = np.concatenate([spin, rotate(back, (later - position) / INSTANT)])
+        return State(position=position, orientation=orientation, twist=twist)
 
     @cached_property
     def max_step(self) -> float:  # type: ignore[override]

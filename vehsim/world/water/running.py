@@ -141,6 +141,28 @@ def law_of(boat: Boat) -> Law:
     return Law(planing, vented, rate, transom, SpeedSpline.through(speeds, rise))
 
 
+def steady(boat: Boat, speed: float, lift: Lift) -> tuple[float, float]:
+    """Height m of the body frame's origin above calm water, and the bow's angle upwards, rad, of a hull that moves
+    ahead steadily at ``speed`` m/s; as it floats at rest where there is no such motion."""
+    from scipy.optimize import root
+
+    places, weight = boat.data.propulsor_points, boat.mass * GRAVITY
+    at = places.mean(axis=0) if len(places) else np.zeros(3)
+    rest, length = _trim_at_rest(boat), float(np.ptp(boat.mesh.points[:, 0]))
+    floats = _floats(boat, rest)
+
+    def unbalanced(y: Array) -> Array:
+        height, trim, push = floats + y[0], rest + y[1], np.array([y[2] * weight, 0.0, 0.0])
+        total = boat.surface(*_cut(boat, trim, height, speed, lift), lift)[0]
+        total = total + np.concatenate([cross(at, push), push - weight * _up(trim)])
+        return np.asarray(total[[1, 3, 5]] / weight / [length, 1.0, 1.0])
+
+    found = root(unbalanced, np.zeros(3))
+    if np.abs(found.fun).max() > 0.01 or abs(found.x[1]) > MOST:
+        return floats, rest
+    return floats + float(found.x[0]), rest + float(found.x[1])
+
+
 def _planing(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
     """The lift with which the hull runs steadily at the ``k``-th speed, with the keel as deep at the transom as given;
     but it never displaces more than at rest."""
