@@ -21,8 +21,8 @@ _STIFFNESS = 15.0
 """Natural frequency of the feedback on every joint, rad/s, critically damped."""
 _AMPLITUDE = 0.05
 """Relative tolerance of a joint's amplitude."""
-_EASE = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
-"""From 0 to 1 on [0, 1], with zero rate and acceleration at both ends."""
+_EASE = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+"""From 0 to 1 on [0, 1], with zero rate, acceleration and jerk at both ends: torques start without a rate."""
 
 
 class Gait:

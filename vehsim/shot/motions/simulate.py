@@ -99,7 +99,8 @@ class ForwardMotion(Table):
 
         heading, z = float(np.deg2rad(given.heading or 0.0)), given.position[2]
         start = Afloat(vehicle, context.world).riding(given.position[:2], heading, given.velocity[:2])
-        if min(abs(z - start.position[2]), abs(z - water.level)) > FAR:
+        far = min(abs(z - start.position[2]), abs(z - water.level)) > FAR
+        if far and "position" in given.model_fields_set:
             warnings.warn(
                 f"{vehicle.name}: starts at z = {z:.2f} m and was put on the water, at {start.position[2]:.2f} m; "
                 "start it there, or write afloat = false to drop it",

@@ -1,0 +1,75 @@
+"""Where a boat starts on the water: in balance on calm water at any speed, and on the surface of waves, moving with it."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hulls import box, floating
+
+import vehsim
+from vehsim import Shot
+from vehsim.lie.quaternions import rotate, tilt_of
+from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.water import wave
+from vehsim.world.world import Water, World
+
+BOAT = vehsim.load_vehicle("boat")
+
+
+def shot(**start):
+    return Shot.from_dict(
+        {
+            "shot": {"schema": 1, "name": "start", "end_frame": 1002},
+            "world": {"water": {"level": 3.0}},
+            "vehicle": [{"name": "boat", "asset": "boat", "motion": {"method": "simulate", "start": start}}],
+        }
+    )
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0, 5.0, 8.0, 12.0])
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_on_calm_water_a_boat_starts_in_balance_at_its_speed(speed, heading):
+    velocity = speed * np.array([np.cos(heading), np.sin(heading)])
+    state = Afloat(BOAT, World(water=0.7)).riding((4.0, -3.0), heading, velocity)
+    running, top = BOAT.hull.running, 1.0
+    thrust = top * float(np.interp(speed, running.speeds, running.resistance)) if speed else 0.0
+    clip = vehsim.simulate(BOAT, World(water=0.7), np.array([thrust, 0.0]), state, duration=0.5, actuators=False)
+    _, pitch, roll = (np.degrees(angle) for angle in tilt_of(clip.orientations))
+    assert np.ptp(clip.positions[:, 2]) < 0.01 and np.ptp(pitch) < 0.4 and np.abs(roll).max() < 0.05
+    np.testing.assert_allclose(clip.positions[0, :2], [4.0, -3.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("heading", [0.3, 1.9, 4.0])
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (3.0, -2.0)])
+def test_on_a_long_wave_it_has_its_height_slope_and_vertical_speed(heading, velocity):
+    water = Water(surface=wave(2.0, 120.0, heading=0.7, phase=0.4), level=1.5)
+    body, place = floating(box(4.0, 2.0, 1.0), 4000.0), np.array([11.0, -7.0])
+    environment = Afloat(body, World(water=water))
+    state = environment.riding(place, heading, velocity)
+
+    def surface(t):
+        return float(water.height((place + np.array(velocity) * t)[None], t)[0])
+
+    draft = environment.floating()[0]
+    assert state.position[2] == pytest.approx(surface(0.0) + draft, abs=0.01)
+    moving = rotate(state.orientation, state.twist[3:])
+    np.testing.assert_allclose(moving[:2], velocity, atol=1e-9)
+    assert moving[2] == pytest.approx((surface(0.01) - surface(-0.01)) / 0.02, abs=0.01)
+    up = rotate(state.orientation, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(up, water.normal(place[None], 0.0)[0], atol=2e-3)
+
+
+def test_the_start_of_a_shot_is_on_the_water():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for start in ({}, {"position": [1, 2, 3.0]}, {"heading": 90, "velocity": [0, 2, 0]}):
+            clip = shot(**start).solve().clips["boat"]
+            assert clip.positions[0, 2] == pytest.approx(3.0, abs=0.05)
+
+
+def test_a_start_far_from_the_water_is_warned_about_and_dropped_on_request():
+    with pytest.warns(UserWarning, match=r"starts at z = 5\.00 m and was put on the water, at 3\.0"):
+        clip = shot(position=[0, 0, 5]).solve().clips["boat"]
+    assert clip.positions[0, 2] == pytest.approx(3.0, abs=0.05)
+    for start in ({"afloat": False}, {"orientation": [1, 0, 0, 0]}, {"velocity": [0, 0, -1]}, {"spin": [10, 0, 0]}):
+        assert shot(position=[0, 0, 5], **start).solve().clips["boat"].positions[0, 2] == 5.0
