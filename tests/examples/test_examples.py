@@ -1,5 +1,5 @@
-"""Every example exports, validates, and looks as it did when its reference was approved. Motion stays in the envelope of
-real machines, except stunts.
+"""Every example exports, validates, and looks as it did when its reference was approved. Motion stays in the
+envelope of real machines, except stunts.
 
 The references were rendered at 320 x 180 and inspected. After a change that should be visible, inspect the new
 pictures, then write them with ``VEHSIM_WRITE_REFERENCES=1 pytest tests/examples``.

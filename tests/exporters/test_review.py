@@ -18,6 +18,7 @@ from vehsim.cli import commands as cli
 from vehsim.clip.clip import Clip
 from vehsim.exporters.checks.review import outside, review, shown
 from vehsim.exporters.checks.review_page import write_page
+from vehsim.pilots.controllers import FollowPath
 from vehsim.vehicles.definition.character import REVIEW_UNITS, REVIEWED
 
 BOAT, CAR = vehsim.load_vehicle("boat").planar, vehsim.load_vehicle("car")
@@ -227,3 +228,12 @@ def test_slip_and_power_are_of_the_bodys_origin() -> None:
         none, controls = np.zeros((3, 0)), np.tile([18639.0, 1105.0, 0, 0], (3, 1))
         clip = Clip(heli, t, np.zeros((3, 3)), turn, twists, none, none, controls, {}, Fraction(24))
         assert row(clip, "slip")["worst"] == pytest.approx(math.atan(rate * heli.origin[2] / speed), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("points", "speed"), [([(0, 0), (30, 0), (50, 12), (60, 35)], 12.0), ([(0, 0), (9, 1), (20, 8)], 5.0)]
+)
+def test_a_car_that_follows_a_path_stays_in_the_envelope(points: list[tuple[float, float]], speed: float) -> None:
+    car = vehsim.load_vehicle("car")
+    clip = vehsim.simulate(car, None, FollowPath(car, points, speed=speed), duration=16.0)
+    assert not outside(review(clip)) and np.linalg.norm(clip.twists[-1]) < 1e-3

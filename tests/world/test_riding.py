@@ -1,4 +1,4 @@
-"""Where a boat starts on the water: in balance on calm water at any speed, and on the surface of waves, moving with it."""
+"""Where a boat starts on the water: in balance on calm water at any speed, and on waves, moving with their surface."""
 
 import warnings
 

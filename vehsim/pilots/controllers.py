@@ -64,6 +64,11 @@ _EASE = 2.0
 _HANDS = 0.15
 """Time in which a car's pilot changes the rate of its steering, s; from ``_ROLLS`` m/s on, it uses the full rate."""
 _ROLLS = 1.0
+_HURRY, _OFF = 2.0, 0.1
+"""Where its steering is off by more than ``_OFF``, as a tangent, it steers faster: at twice that, by ``_HURRY`` times
+its rate."""
+_AHEAD = 0.6
+"""How far ahead a car's pilot aims, beside the wheelbase, s."""
 _PLACES, _SPEEDS = 0.5, 4.0
 """Feedback of a car's pilot: speed per error of its place, 1/s, and acceleration per error of its speed, 1/s."""
 
@@ -171,7 +176,7 @@ class FollowPath:
     """Drives a car's rear axle along the smooth curve through ``points`` (n, 2) m; its root stops at the last one.
 
     ``speed`` m/s along the path, less in bends (2.5 m/s^2 sideways). Pure pursuit. Steering and torque change at most
-    as fast as in the vehicle's character ``normal``. The car may start anywhere near the first point.
+    as fast as in the vehicle's character ``normal``; steering faster where the car is far off its path. The car may start anywhere near the first point.
     """
 
     def __init__(self, vehicle: Vehicle, points: Any, speed: float = 8.0):
@@ -262,12 +267,17 @@ class FollowPath:
 
     def _steer(self, dt: float, axle: Array, rotation: Array, speed: float, sigma: float) -> float:
         """Pure pursuit: the arc through a point one look-ahead ahead has curvature ``2 y / d^2``."""
-        ahead = self._length + 0.6 * abs(speed)
+        ahead = self._length + _AHEAD * abs(speed)
         aim = rotation.T @ (self._route.point(self._along + ahead) - axle)
         wanted = self._length * 2 * aim[1] / max(aim @ aim, 1e-6)
+        # no more than the hands can take back in time, or the car would swing from side to side of its path
+        bend, room = self._length * self._route.bend(self._along + ahead / 2), (1 + _HURRY) * _AHEAD * self._hands
+        wanted = np.clip(wanted, bend - room, bend + room)
         lower, upper = self.vehicle.joint_limits.get("sigma", (-1.0, 1.0))
-        most = self._hands * (1 + sigma**2) * min(abs(speed) / _ROLLS, 1.0)
-        rate = np.clip(6.0 * (np.clip(wanted, lower, upper) - sigma), -most, most)
+        off = float(np.clip(wanted, lower, upper)) - sigma
+        hurry = 1 + _HURRY * np.clip(abs(off) / _OFF - 1, 0.0, 1.0)
+        most = hurry * self._hands * (1 + sigma**2) * min(abs(speed) / _ROLLS, 1.0)
+        rate = np.clip(6.0 * off, -most, most)
         self._turning += (1 - np.exp(-dt / _HANDS)) * (float(rate) - self._turning)
         return self._turning
 

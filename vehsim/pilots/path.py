@@ -113,6 +113,13 @@ class Route:
         inside = float(np.clip(s, 0.0, self.length))
         return self._curve(inside) + (s - inside) * self._curve(inside, 1)
 
+    def bend(self, s: float) -> float:
+        """Curvature at an arc length of a curve in the plane, 1/m, positive to the left; zero beyond its ends."""
+        if not 0.0 <= s <= self.length:
+            return 0.0
+        (x, y), (x2, y2) = self._curve(s, 1), self._curve(s, 2)
+        return float(x * y2 - y * x2)
+
     def nearest(self, position: Array, s: float, reach: float) -> float:
         """Arc length of the closest point, not before ``s`` and within ``reach`` of it."""
         span = np.linspace(s, min(s + reach, self.length), 33)
