@@ -235,5 +235,5 @@ def test_slip_and_power_are_of_the_bodys_origin() -> None:
 )
 def test_a_car_that_follows_a_path_stays_in_the_envelope(points: list[tuple[float, float]], speed: float) -> None:
     car = vehsim.load_vehicle("car")
-    clip = vehsim.simulate(car, None, FollowPath(car, points, speed=speed), duration=16.0)
+    clip = vehsim.simulate(car, None, FollowPath(car, points, speed=speed), duration=20.0)
     assert not outside(review(clip)) and np.linalg.norm(clip.twists[-1]) < 1e-3

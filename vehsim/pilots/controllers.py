@@ -176,7 +176,8 @@ class FollowPath:
     """Drives a car's rear axle along the smooth curve through ``points`` (n, 2) m; its root stops at the last one.
 
     ``speed`` m/s along the path, less in bends (2.5 m/s^2 sideways). Pure pursuit. Steering and torque change at most
-    as fast as in the vehicle's character ``normal``; steering faster where the car is far off its path. The car may start anywhere near the first point.
+    as fast as in the vehicle's character ``normal``; steering faster where the car is far off its path. The car may
+    start anywhere near the first point.
     """
 
     def __init__(self, vehicle: Vehicle, points: Any, speed: float = 8.0):
