@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.interpolant import interpolate
-from vehsim.clip.samples import ARRAYS, GROUPS, Samples
+from vehsim.clip.samples import ARRAYS, GROUPS, Samples, check_shapes
 from vehsim.errors import InputError
 from vehsim.intake.arrays import NUMBERS, read_arrays
 from vehsim.runtime.files import write_file
@@ -125,6 +125,7 @@ class Clip(Samples):
         vehicle = _moving(vehicle or _vehicle_of(*known), width, path)
         groups: dict[str, Any] = {group: _group(numbers, prefix) for group, prefix in GROUPS.items()}
         try:
+            check_shapes(vehicle, columns, groups)
             return cls(vehicle, **columns, **groups, fps=fps, start_frame=first, events=events)
         except InputError as error:
             raise InputError(f"not a clip saved by vehsim: {error.message}", error.remedy, file=path) from None

@@ -43,7 +43,9 @@ class Samples:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fps", frame_rate(self.fps))
-        self._check_shapes()
+        lengths = {name: len(getattr(self, name)) for name in ARRAYS}
+        if len(set(lengths.values())) != 1 or lengths["times"] == 0:
+            raise InputError(f"arrays of different lengths or empty: {lengths}", "give one row per sample", key="clip")
         if np.any(np.diff(self.times) <= 0):
             raise InputError("times must increase", "sort the samples and drop repeated ones", key="clip")
         for name in ARRAYS:
@@ -51,22 +53,6 @@ class Samples:
                 raise InputError(f"{name} are not finite in every sample", "give numbers", key="clip")
         if np.any(np.abs(np.linalg.norm(self.orientations, axis=1) - 1) > 1e-3):
             raise InputError("orientations are not unit quaternions", "normalise them", key="clip")
-
-    def _check_shapes(self) -> None:
-        """Raise ``InputError`` unless every array has a row for each sample, as wide as the vehicle needs."""
-        joints, dim = len(self.vehicle.joints), self.vehicle.group.dim
-        widths = ((), (3,), (4,), (dim,), (joints,), (joints,), (len(self.vehicle.controls),))
-        arrays = {name: (getattr(self, name), width) for name, width in zip(ARRAYS, widths, strict=True)}
-        for group in GROUPS:
-            arrays |= {f"{group}.{name}": (values, ()) for name, values in getattr(self, group).items()}
-        shapes = {name: np.shape(values) for name, (values, _) in arrays.items()}
-        lengths = {name: shape[:1] for name, shape in shapes.items()}
-        if len(set(lengths.values())) != 1 or lengths["times"] in ((), (0,)):
-            raise InputError(f"arrays of different lengths or empty: {shapes}", "give one row per sample", key="clip")
-        for name, (_, width) in arrays.items():
-            if shapes[name][1:] != width:
-                needed = " by ".join(map(str, ("n", *width)))
-                raise InputError(f"{name} has the shape {shapes[name]}, not {needed}", "save it again", key="clip")
 
     def __repr__(self) -> str:
         span = f"frames {self.start_frame} to {self.end_frame} at {self.fps} fps"
@@ -117,6 +103,22 @@ class Samples:
             joints=self.joints[index],
             joint_rates=self.joint_rates[index],
         )
+
+
+def check_shapes(vehicle: Vehicle, columns: Mapping[str, Array], groups: Mapping[str, Mapping[str, Array]]) -> None:
+    """Raise ``InputError`` unless every array of `ARRAYS` and `GROUPS`, read from a file, has a row for each sample, as
+    wide as the vehicle needs."""
+    joints, dim = len(vehicle.joints), vehicle.group.dim
+    widths = ((), (3,), (4,), (dim,), (joints,), (joints,), (len(vehicle.controls),))
+    needed = dict(zip(ARRAYS, widths, strict=True))
+    shapes = {name: np.shape(columns[name]) for name in ARRAYS}
+    shapes |= {f"{group}.{name}": np.shape(values) for group in GROUPS for name, values in groups[group].items()}
+    if len({shape[:1] for shape in shapes.values()}) != 1 or shapes["times"] in ((), (0,)):
+        raise InputError(f"arrays of different lengths or empty: {shapes}", "save it again", key="clip")
+    for name, shape in shapes.items():
+        if shape[1:] != needed.get(name, ()):
+            wanted = " by ".join(map(str, ("n", *needed.get(name, ()))))
+            raise InputError(f"{name} has the shape {shape}, not {wanted}", "save it again", key="clip")
 
 
 def frame_rate(fps: Any) -> Fraction:
