@@ -17,6 +17,7 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -577,10 +578,15 @@ def write_blend(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
 
 
 def write_alembic(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
-    """``<shot>.abc``: geometry, motion and cameras of the stage."""
+    """``<shot>.abc``: geometry, motion and cameras of the stage. Warns of spray, which Blender does not export."""
+    from pxr import Usd, UsdGeom
+
     progress("abc: samples", 0.0)
-    path = folder / f"{take.name}.abc"
-    _run(folder / f"{take.name}.usda", "--alembic", str(path), "--fps", str(take.fps))
+    path, stage = folder / f"{take.name}.abc", folder / f"{take.name}.usda"
+    _run(stage, "--alembic", str(path), "--fps", str(take.fps))
+    opened = Usd.Stage.Open(str(stage))  # a prim does not keep its stage open
+    if any(prim.IsA(UsdGeom.Points) for prim in opened.Traverse()):
+        warnings.warn(f"{path.name}: spray is left out; Blender exports no points", stacklevel=2)
     return [path]
 
 

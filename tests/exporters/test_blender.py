@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -310,6 +311,22 @@ def test_without_blender_its_exporters_name_the_remedy(shot, tmp_path, toys, mon
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InputError, match="VEHSIM_BLENDER"):
         blender.write_blend(shot[0], tmp_path, toys.silent)
+
+
+def test_alembic_without_the_spray_says_so(shot, tmp_path, toys, monkeypatch):
+    from pxr import Usd, UsdGeom
+
+    monkeypatch.setattr(blender, "_run", lambda *arguments: None)
+    take, path = shot[0], tmp_path / f"{shot[0].name}.usda"
+    Usd.Stage.Open(str(shot[1])).Export(str(path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        blender.write_alembic(take, tmp_path, toys.silent)
+    stage = Usd.Stage.Open(str(path))
+    UsdGeom.Points.Define(stage, f"/{take.name}/env/water/spray")
+    stage.Save()
+    with pytest.warns(UserWarning, match="spray is left out"):
+        blender.write_alembic(take, tmp_path, toys.silent)
 
 
 def test_the_suns_light_does_not_depend_on_its_size(shot):
