@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -445,8 +446,30 @@ def test_a_chase_camera_follows_a_car_through_a_low_tunnel(tmp_path):
 def test_a_fixed_camera_in_a_hill_without_a_tunnel_below_it_is_raised(tunnel):
     there = CameraRig("it", rig="static", position=(0.0, 20.0, 16.0))
     through = clip_along(np.stack([14 * T - 35, 0 * T + 40, 5 + 0 * T], 1), 0.0)
-    camera = solve_camera(there, {"v": through}, tunnel, (1001, 1121))
+    with pytest.warns(UserWarning, match="is inside the rock, and the camera was raised; give it another place"):
+        camera = solve_camera(there, {"v": through}, tunnel, (1001, 1121))
     assert camera.positions[:, 2].min() > 24
+
+
+@pytest.mark.parametrize(
+    ("rig", "place", "says"),
+    [
+        ("static", (0.0, -20.0, -2.0), "-2.0] is 2 m below the ground, and the camera was raised; give it another"),
+        ("fly_by", (0.0, -20.0, -2.0), "2 m below the ground"),
+        ("static", (0.0, 30.0, 3.0), "is inside the obstacle 'tower', and the camera stays there"),
+        ("static", (0.0, 30.0, 8.5), ""),
+        ("static", (0.0, -20.0, 2.0), ""),
+        ("static", None, ""),
+    ],
+)
+def test_a_camera_that_is_placed_in_the_ground_or_an_obstacle_is_named(rig, place, says):
+    world = World("flat", obstacles=[box("tower", (0, 30, 0), (6, 6, 8))])
+    through = clip_along(np.stack([14 * T - 35, 0 * T, 1 + 0 * T], 1), 0.0)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        solve_camera(CameraRig("it", rig=rig, position=place), {"v": through}, world, (1001, 1121))
+    said = [str(each.message) for each in caught]
+    assert len(said) == bool(says) and all(says in each and "camera 'it': position" in each for each in said)
 
 
 def test_a_distant_camera_knows_no_more_columns(tunnel):

@@ -18,7 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.cameras.camera import Camera, CameraRig, Subject
-from vehsim.cameras.path import Parked, Surroundings, blocked, calm, envelope, in_rock, raise_camera, smooth, steer
+from vehsim.cameras.path import (
+    Parked,
+    Surroundings,
+    blocked,
+    buried_in,
+    calm,
+    envelope,
+    in_rock,
+    raise_camera,
+    smooth,
+    steer,
+)
 from vehsim.cameras.rigs import RIGS, Move
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import continuous, from_vectors, matrices, quaternions
@@ -87,6 +98,12 @@ def solve_camera(
         warnings.warn(
             f"camera {rig.name!r} is inside the rock at frame {every[buried.argmax()]:g}; give it another place, "
             "distance or azimuth",
+            stacklevel=2,
+        )
+    elif rig.position is not None and (where := buried_in(rig.position, around)):
+        warnings.warn(
+            f"camera {rig.name!r}: position = {list(rig.position)} is {where}, and the camera "
+            f"{'stays there' if np.allclose(positions[0], rig.position) else 'was raised'}; give it another place",
             stacklevel=2,
         )
     return Camera(rig.name, every, positions, continuous(quaternions(rotations)), rig.lens_mm, aperture)

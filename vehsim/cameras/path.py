@@ -5,7 +5,7 @@ This module finds the camera's path past terrain and standing obstacles; `framin
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -275,6 +275,23 @@ def in_rock(positions: Array, world: Any) -> NDArray[np.bool_]:
     """Which cameras (n,) stand in the rock of a terrain with overhangs."""
     rock = _rock(world)
     return np.zeros(len(positions), bool) if rock is None else rock.inside(positions)
+
+
+def buried_in(place: Sequence[float], world: Any) -> str:
+    """Where a camera's ``place`` (3,) m cannot see anything, in words: in the ground, in rock or in an obstacle's hull;
+    empty elsewhere."""
+    point = np.array([place], float)
+    if in_rock(point, world)[0]:
+        return "inside the rock"
+    if _rock(world) is None and (deep := float(_ground(point, world, 0.0)[0] - point[0, 2])) > 0:
+        return f"{deep:.3g} m below the ground"
+    for obstacle in _standing(world):
+        if isinstance(obstacle, Parked):  # a camera may be aboard
+            continue
+        for _, _, planes in _solids(obstacle):
+            if (point @ planes[:, :3].T + planes[:, 3]).max() < 0:
+                return f"inside the obstacle {obstacle.name!r}"
+    return ""
 
 
 def _ground(points: Array, world: Any, margin: float, plain: bool = False) -> Array:
