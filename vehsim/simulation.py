@@ -66,7 +66,8 @@ def simulate(
     ground. Slopes are resolved where it can come within the duration, or ``everywhere``: then the duration does not
     change the motion before its end. ``after``: a clip of an earlier call, which is continued from its last sample. The
     result contains it, and has the same bytes as one simulation of the whole ``duration`` under the controls of both:
-    ``controls`` act after its end only. Everything else must be as in the earlier call. ``difference_map`` and
+    ``controls`` act after its end only. Everything else must be as in the earlier call; without water, gusts and
+    contact, so must be their form: numbers, or a function. ``difference_map`` and
     ``order`` as of `vehsim.integrators.Integrator`. Raises ``InputError`` naming key,
     value and remedy; ``SolveError`` with step, state and residual if a step fails.
     """
@@ -93,28 +94,45 @@ def simulate(
     ground = world.on_level([begin.position], near) if isinstance(world, World) and near is not None else world
     weighed = on_terrain(vehicle, ground, near)
     environment = world.environment(vehicle, start_time=start_frame / float(rate)) if isinstance(world, World) else None
+    settings = {
+        **_settings(vehicle, h, rate, start_frame),
+        "difference_map": difference_map,
+        "order": order,
+        "actuators": actuators,
+        "world": "with external forces" if environment is not None else "without external forces",
+    }
     if environment is not None:
         cuts = substeps(h, environment)
         integrator = Integrator(vehicle, h / cuts, difference_map, order, wind=_wind(world))
         law = controls if table is None else _played(table, steps * h)
         law = Actuated(vehicle, law) if actuators else law
         clip, memory = pushed(
-            integrator, environment, law, begin, steps, cuts, rate, start_frame, progress, _memory(after, steps)
+            integrator,
+            environment,
+            law,
+            begin,
+            steps,
+            cuts,
+            rate,
+            start_frame,
+            progress,
+            _memory(after, steps, settings),
         )
         clip = _commanded(clip, law)
         _warn_limits(vehicle, clip)
         _warn_targets(controls, clip)
-        return _ended(clip, memory)
+        return _ended(clip, memory, settings)
+    settings["controls"] = "a function" if table is None else "numbers"
+    before = _memory(after, steps, settings)
     integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
 
     if table is None:
         law = Actuated(vehicle, controls) if actuators else controls
-        clip, memory = _fly(integrator, law, begin, steps, rate, start_frame, progress, _memory(after, steps))
+        clip, memory = _fly(integrator, law, begin, steps, rate, start_frame, progress, before)
         clip = _commanded(clip, law)
     else:
         # whole rollouts are fast: one that is continued is repeated with its commands
         knots = np.repeat(table, steps + 1, axis=0) if len(table) == 1 else _spread(table, steps)
-        before = _memory(after, steps)
         knots = knots if before is None else np.concatenate([before["knots"], knots[len(before["knots"]) :]])
         memory = {"knots": knots}
         positions = follow(vehicle, knots, h) if actuators else knots
@@ -123,7 +141,7 @@ def simulate(
             clip = _with_commands(clip, knots)
     _warn_limits(vehicle, clip)
     _warn_targets(controls, clip)
-    return _ended(place_on_terrain(replace(clip, vehicle=vehicle), world), memory)
+    return _ended(place_on_terrain(replace(clip, vehicle=vehicle), world), memory, settings)
 
 
 @dataclass(frozen=True)
@@ -179,7 +197,12 @@ def simulate_together(
         Recording(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, law, begin, cuts)
         for _, vehicle, law, begin, environment in prepared
     ]
-    memories = [_memory(after[name], steps) for name in movers] if after is not None else [None]
+    if after is not None and set(after) != set(movers):
+        raise InputError("not the vehicles of movers", "give a clip of each", key="after", value=sorted(after))
+    settings = {
+        name: {**_settings(vehicle, h, rate, start_frame), "movers": list(movers)} for name, vehicle, *_ in prepared
+    }
+    memories = [_memory(after[name], steps, settings[name]) for name in movers] if after is not None else [None]
     memory = pushed_together(recordings, meeting, steps, cuts, progress, memories[0])
     clips = {}
     for k, (recording, (name, vehicle, law, _, environment)) in enumerate(zip(recordings, prepared, strict=True)):
@@ -187,22 +210,33 @@ def simulate_together(
         clips[name] = _commanded(recording.clip(events, rate, start_frame), law)
         _warn_limits(vehicle, clips[name])
         _warn_targets(movers[name].controls, clips[name])
-        clips[name] = _ended(clips[name], memory)
+        clips[name] = _ended(clips[name], memory, settings[name])
     return clips
 
 
-def _ended(clip: Clip, memory: Mapping[str, Any]) -> Clip:
+def _settings(vehicle: Vehicle, step: float, fps: Fraction, start_frame: int) -> dict[str, Any]:
+    """What a simulation has in common with one that it continues: argument -> value."""
+    named = {"vehicle": vehicle.name, "vehicle.parameters": dict(vehicle.parameters)}
+    return {**named, "step": step, "fps": str(fps), "start_frame": start_frame}
+
+
+def _ended(clip: Clip, memory: Mapping[str, Any], settings: Mapping[str, Any]) -> Clip:
     """The clip, such that it can be continued."""
-    return replace(clip, ending={"positions": clip.positions, "memory": memory})
+    return replace(clip, ending={"positions": clip.positions, "memory": memory, "settings": settings})
 
 
-def _memory(after: Clip | None, steps: int) -> Mapping[str, Any] | None:
+def _memory(after: Clip | None, steps: int, settings: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """What a clip that is continued for ``steps`` in all left; None: none is. Raises ``InputError``."""
     if after is None:
         return None
     if after.ending is None or not np.array_equal(after.ending["positions"], after.positions):
         remedy = "take a clip as `simulate` returned it in this session, neither edited nor read from a file"
         raise InputError("cannot be continued", remedy, key="after", subject=after.vehicle.name)
+    earlier = after.ending["settings"]
+    for key in {**settings, **earlier}:
+        if settings.get(key) != earlier.get(key):
+            message = f"the clip to be continued has {earlier.get(key)}"
+            raise InputError(message, "continue it with the same", key=key, value=settings.get(key))
     if len(after) > steps + 1:
         message = f"has {len(after) - 1} steps, more than the {steps} of the whole duration"
         raise InputError(message, "give a longer duration, which counts from the start", key="after")

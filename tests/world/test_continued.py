@@ -70,6 +70,7 @@ def test_a_boat_with_the_memory_of_the_waves_it_radiates(tmp_path: Any) -> None:
 def test_a_car_under_commands_and_under_a_pilot() -> None:
     car = vehsim.load_vehicle("car")
     is_the_same(lambda t, after: simulate(car, None, [300.0, 0.1], duration=t, after=after), 1.0, 2.5)
+    is_the_same(lambda t, after: simulate(car, None, helm, duration=t, order=4, after=after), 0.5, 1.0)
     pilot = FollowPath(car, [(0, 0), (15, 0), (20, 15)], speed=6)
     world = World(terrain="flat")
     is_the_same(lambda t, after: simulate(car, world, pilot, duration=t, everywhere=True, after=after), 1.3, 2.5)
@@ -144,3 +145,38 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Any) -> None:
             simulate(car, None, [300.0, 0.1], duration=2.0, after=clip)
     with pytest.raises(InputError, match="longer duration"):
         simulate(car, None, [300.0, 0.1], duration=0.5, after=first)
+
+
+def test_what_differs_from_the_earlier_call_is_named() -> None:
+    boat, other = vehsim.load_vehicle("boat"), vehsim.load_vehicle("boat", {"mass": 900.0})
+    water, car = World(water=0.0), vehsim.load_vehicle("car")
+    first = simulate(boat, water, [3000.0, 0.0], duration=0.25, step=1 / 48)
+    rolled = simulate(car, None, [300.0, 0.1], duration=0.25)
+
+    def go_on(
+        vehicle: Any = boat, world: Any = water, controls: Any = (3000.0, 0.0), clip: Any = first, **new: Any
+    ) -> Any:
+        return simulate(vehicle, world, controls, duration=0.5, after=clip, **{"step": 1 / 48, **new})
+
+    assert len(go_on()) == 25
+    changes: dict[str, dict[str, Any]] = {
+        "vehicle": {"vehicle": car, "world": None, "controls": [300.0, 0.1]},
+        "vehicle.parameters": {"vehicle": other},
+        "step": {"step": 1 / 96},
+        "fps": {"fps": 12},
+        "start_frame": {"start_frame": 1},
+        "actuators": {"actuators": False},
+        "world": {"world": None},
+        "controls": {"vehicle": car, "world": None, "controls": helm, "clip": rolled, "step": 1 / 240},
+    }
+    for key, change in changes.items():
+        with pytest.raises(InputError, match="to be continued has") as error:
+            go_on(**change)
+        assert error.value.key == key
+    movers = {name: Mover(boat, [0.0, 0.0], State(position=(x, 0, 0))) for name, x in (("one", 0.0), ("two", 20.0))}
+    both = simulate_together(movers, water, 0.25, step=1 / 48)
+    for wrong, key in ((movers, "after"), (dict(reversed(movers.items())), "movers")):
+        with pytest.raises(InputError) as error:
+            clips = both if key == "movers" else {"one": both["one"]}
+            simulate_together(wrong, water, 0.5, step=1 / 48, after=clips)
+        assert error.value.key == key
