@@ -34,13 +34,21 @@ SAME = 10
 """Decimals of seconds: a row of a table and a knot are at the same time if they agree in these."""
 
 
+class SimulatedStart(StartTable):
+    """``[vehicle.motion.start]`` of a simulated motion."""
+
+    afloat: bool = True
+    """false: a boat starts at this z, level, and drops onto the water or rises to it; default: it rides the water,
+    unless its orientation, its spin or a vertical velocity is given"""
+
+
 class ForwardMotion(Table):
     """Forward simulation from a start, under controls that a subclass gives."""
 
     # as of `vehsim.simulate`: whether the duration never changes the motion before its end
     everywhere: ClassVar[bool] = False
 
-    start: StartTable = StartTable()
+    start: SimulatedStart = SimulatedStart()
     """the state on the shot's first frame, including handles; default: at rest at the origin"""
     step: Annotated[Number, Field(ge=1e-5, le=0.1)] = 1 / 240
     """the integration step in s, 0.00001 to 0.1; default: 1/240"""

@@ -211,9 +211,6 @@ class StartTable(Table):
     """the angular velocity [x, y, z] in deg/s, in body axes; a planar vehicle uses only z"""
     joints: dict[str, Number] = Field(default={})
     """a table of joint values, in the vehicle's own units; default: 0"""
-    afloat: bool = True
-    """false: a boat starts at this z, level, and drops onto the water or rises to it; default: it rides the water,
-    unless its orientation, its spin or a vertical velocity is given"""
 
 
 class CameraTable(Table):
