@@ -147,7 +147,13 @@ duration = 1
 step = 0.01
 commands = [{ frame = 1001, torque = 1 }]
 pilot = { name = "hover", position = [0, 0, 0] }
-start = { position = [0, 0, 0], heading = 0, orientation = [1, 0, 0, 0], velocity = [0, 0, 0], spin = [0, 0, 0], afloat = true }
+[vehicle.motion.start]
+position = [0, 0, 0]
+heading = 0
+orientation = [1, 0, 0, 0]
+velocity = [0, 0, 0]
+spin = [0, 0, 0]
+afloat = true
 
 [[vehicle]]
 name = "clipped"
