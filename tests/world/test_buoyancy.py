@@ -463,6 +463,8 @@ def test_a_large_mesh_is_simplified():
 def test_a_boat_that_sinks_is_reported():
     with pytest.raises(InputError, match=r"displaces at most 1 m\^3, and needs 1.951 m\^3 to float"):
         afloat(floating(box(1, 1, 1), 2000.0)).floating()
+    with pytest.raises(InputError, match="displaces at most 1 m"):
+        vehsim.simulate(floating(box(1, 1, 1), 2000.0), World(water=0.0), duration=0.1)
 
 
 def test_split_corners_are_welded():

@@ -250,11 +250,12 @@ class Afloat(Environment):
         rad, and a horizontal ``velocity`` (2,) m/s, world axes.
 
         It follows the plane that is closest to the surface under its hull, as high and with its bow as high as it runs
-        at that speed on calm water.
+        at that speed on calm water. Raises ``InputError`` if the hull sinks.
         """
         place, velocity = np.asarray(place, float), np.asarray(velocity, float)
         turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
         ahead = float(velocity @ turn[:, 0])
+        self.floating()  # refuses a hull that sinks
         height, trim = steady(self, ahead, self.law.at(ahead))
         low, high = self.mesh.points[:, :2].min(axis=0), self.mesh.points[:, :2].max(axis=0)
         x, y = (rows.ravel() for rows in np.meshgrid(*np.linspace(low, high, PLACES).T, indexing="ij"))
