@@ -16,11 +16,11 @@ from vehsim.world.world import Water, World
 BOAT = vehsim.load_vehicle("boat")
 
 
-def shot(**start):
+def shot(world=None, **start):
     return Shot.from_dict(
         {
             "shot": {"schema": 1, "name": "start", "end_frame": 1002},
-            "world": {"water": {"level": 3.0}},
+            "world": {"water": {"level": 3.0}} | (world or {}),
             "vehicle": [{"name": "boat", "asset": "boat", "motion": {"method": "simulate", "start": start}}],
         }
     )
@@ -73,3 +73,12 @@ def test_a_start_far_from_the_water_is_warned_about_and_dropped_on_request():
     assert clip.positions[0, 2] == pytest.approx(3.0, abs=0.05)
     for start in ({"afloat": False}, {"orientation": [1, 0, 0, 0]}, {"velocity": [0, 0, -1]}, {"spin": [10, 0, 0]}):
         assert shot(position=[0, 0, 5], **start).solve().clips["boat"].positions[0, 2] == 5.0
+
+
+def test_a_boat_on_a_beach_stays_where_it_is_put(tmp_path):
+    x = np.linspace(-30.0, 30.0, 61)
+    np.savez(tmp_path / "beach.npz", heights=np.tile(3.0 + 0.1 * x, (61, 1)), cell=1.0, origin=[-30.0, -30.0])
+    world = {"terrain": str(tmp_path / "beach.npz"), "contact": {"friction": 0.5}}
+    for place, z in (([20, 0, 5.6], 5.6), ([-25, 0, 2.9], 3.0)):
+        clip = shot(world, position=place).solve().clips["boat"]
+        assert clip.positions[0, 2] == pytest.approx(z, abs=0.01)

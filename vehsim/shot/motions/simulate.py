@@ -106,7 +106,11 @@ class ForwardMotion(Table):
         from vehsim.world.water.buoyancy import Afloat
 
         heading, z = float(np.deg2rad(given.heading or 0.0)), given.position[2]
-        start = Afloat(vehicle, context.world).riding(given.position[:2], heading, given.velocity[:2])
+        afloat = Afloat(vehicle, context.world)
+        start = afloat.riding(given.position[:2], heading, given.velocity[:2])
+        keel = start.position[2] + vehicle.origin[2] + float(afloat.hull.points[:, 2].min())
+        if context.world.height(given.position[:2])[0] > keel:  # aground
+            return as_state(given, vehicle, context.world.wind)
         far = min(abs(z - start.position[2]), abs(z - water.level)) > FAR
         if far and "position" in given.model_fields_set:
             warnings.warn(
