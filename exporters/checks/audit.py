@@ -141,9 +141,10 @@ class Delivered:
         from pxr import UsdGeom
 
         mesh = UsdGeom.Mesh(prim)
-        points = np.asarray(mesh.GetPointsAttr().Get(frame), float).reshape(-1, 3)
-        counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get(frame), int)
-        corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get(frame), int)
+        attributes = mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()
+        given = [() if (values := attribute.Get(frame)) is None else values for attribute in attributes]
+        points = np.asarray(given[0], float).reshape(-1, 3)
+        counts, corners = np.asarray(given[1], int), np.asarray(given[2], int)
         starts = np.cumsum(counts) - counts
         faces = [
             np.column_stack([corners[s], corners[s + k], corners[s + k + 1]])
@@ -363,6 +364,8 @@ class _Ground:
         found, count = [], 0
         for prim in delivered.meshes(scope):
             points, faces = delivered.triangles(prim, float(frame))
+            if not len(faces):
+                continue
             found.append((_moved(delivered.world_matrix(prim, float(frame)), points), faces + count))
             count += len(points)
         return cls(np.vstack([p for p, _ in found]), np.vstack([f for _, f in found])) if found else None

@@ -293,3 +293,17 @@ def test_a_stage_longer_than_a_motion_that_ends_while_it_moves_passes(metres: fl
     assert keys(delivery) == set()
     (row,) = [row for row in audit_delivery(delivery)["boat"] if row.key == "mark[1].speed"]
     assert row.value is not None and row.value < 1e-3
+
+
+def test_an_empty_mesh_in_the_look_of_a_terrain_is_no_ground(tmp_path: Path) -> None:
+    place = tmp_path / "place"
+    place.mkdir()
+    np.save(place / "heights.npy", np.zeros((30, 30)))
+    metadata = '(\n defaultPrim = "m"\n metersPerUnit = 1\n upAxis = "Z"\n)'
+    meshes = 'def Xform "m"\n{\n def Mesh "empty"\n {\n }\n}\n'
+    (place / "look.usda").write_text(f"#usda 1.0\n{metadata}\n{meshes}")
+    (place / "terrain.toml").write_text('heights = "heights.npy"\nlook = "look.usda"\ncell = 1.0\n')
+    motion = {"method": "simulate", "duration": 0.1}
+    shot = {"shot": {"schema": 1, "name": "empty"}, "world": {"terrain": str(place)}}
+    take = Shot.from_dict(shot | {"vehicle": [{"name": "car", "asset": "car", "motion": motion}]}).solve()
+    assert keys(take.export(tmp_path / "out", to=("usd",))) == set()

@@ -212,6 +212,12 @@ def _flat_scale(stage):
     add_cube(stage, "/rig/squashed/mesh")
 
 
+def _scales_that_overflow(stage):
+    for path in ("/rig/huge", "/rig/huge/huger"):
+        UsdGeom.Xform.Define(stage, path).AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(1e200))
+    add_cube(stage, "/rig/huge/huger/mesh")
+
+
 def _broken_faces(stage):
     add_cube(stage, "/rig/mesh").CreateFaceVertexIndicesAttr([99] * 24)
 
@@ -225,6 +231,7 @@ def _not_finite(stage):
     [
         (_no_mesh, r"/rig: no mesh"),
         (_flat_scale, r"/rig/squashed: its transform cannot be inverted"),
+        (_scales_that_overflow, r"/rig/huge/huger: its transform is not finite"),
         (_broken_faces, r"/rig/mesh: its faces do not fit its 8 points"),
         (_not_finite, r"/rig/mesh: points that are not finite"),
     ],

@@ -228,7 +228,7 @@ def _unpacked(content: bytes) -> tuple[list[Solid] | None, list[str]]:
 
 def _read(asset: str | Path, root: str | None) -> tuple[list[Part], list[str]]:
     """The parts, and the warnings."""
-    with complaints(asset):
+    with complaints(asset), np.errstate(over="ignore", invalid="ignore"):  # a product that overflows is refused
         return _read_stage(asset, root)
 
 
@@ -366,6 +366,10 @@ def _local(xformable: Any, when: Any) -> tuple[Array, Array]:
 def _rigid(asset: str | Path, node: _Node) -> Array:
     """The rigid frame of a part: at its pivot, with its rotation, without scale, shear or mirroring."""
     linear = node.matrix[:3, :3]
+    if not np.isfinite(node.matrix).all():
+        raise InputError(
+            "its transform is not finite", "fix its scale", key=str(node.prim.GetPath()), file=made_of(asset)
+        )
     u, stretch, v = np.linalg.svd(linear)
     if stretch[-1] <= 1e-9 * max(stretch[0], 1e-30):
         raise InputError(
