@@ -146,16 +146,11 @@ def steady(boat: Boat, speed: float, lift: Lift) -> tuple[float, float]:
     ahead steadily at ``speed`` m/s; as it floats at rest where there is no such motion."""
     from scipy.optimize import root
 
-    places, weight = boat.data.propulsor_points, boat.mass * GRAVITY
-    at = places.mean(axis=0) if len(places) else np.zeros(3)
     rest, length = _trim_at_rest(boat), float(np.ptp(boat.mesh.points[:, 0]))
-    floats = _floats(boat, rest)
+    floats, weight = _floats(boat, rest), boat.mass * GRAVITY
 
     def unbalanced(y: Array) -> Array:
-        height, trim, push = floats + y[0], rest + y[1], np.array([y[2] * weight, 0.0, 0.0])
-        total = boat.surface(*_cut(boat, trim, height, speed, lift), lift)[0]
-        total = total + np.concatenate([cross(at, push), push - weight * _up(trim)])
-        return np.asarray(total[[1, 3, 5]] / weight / [length, 1.0, 1.0])
+        return _imbalance(boat, speed, rest + y[1], floats + y[0], y[2] * weight, length, lift)
 
     found = root(unbalanced, np.zeros(3))
     if np.abs(found.fun).max() > 0.01 or abs(found.x[1]) > MOST:
@@ -194,14 +189,18 @@ def _slow(boat: Boat, running: Any, k: int, guess: Lift) -> Lift:
 def _unbalanced(boat: Boat, running: Any, k: int, height: float, lift: Lift) -> Array:
     """Pitch moment and forces along and across the keel at the ``k``-th speed, over weight and weight times length,
     with the body frame's origin ``height`` m above calm water."""
-    speed, trim = float(running.speeds[k]), float(running.trim[k])
-    push = np.array([float(running.resistance[k]) / np.cos(trim), 0.0, 0.0])
-    places = boat.data.propulsor_points
+    trim = float(running.trim[k])
+    push = float(running.resistance[k]) / np.cos(trim)
+    return _imbalance(boat, float(running.speeds[k]), trim, height, push, running.length, lift)
+
+
+def _imbalance(boat: Boat, speed: float, trim: float, height: float, push: float, length: float, lift: Lift) -> Array:
+    """The same at a ``speed`` m/s and a ``trim`` rad, with a ``push`` N of the propulsors along the keel."""
+    thrust, places, weight = np.array([push, 0.0, 0.0]), boat.data.propulsor_points, boat.mass * GRAVITY
     at = places.mean(axis=0) if len(places) else np.zeros(3)
-    weight = boat.mass * GRAVITY
     total = boat.surface(*_cut(boat, trim, height, speed, lift), lift)[0]
-    total = total + np.concatenate([cross(at, push), push - weight * _up(trim)])
-    return np.asarray(total[[1, 3, 5]] / weight / [running.length, 1.0, 1.0])
+    total = total + np.concatenate([cross(at, thrust), thrust - weight * _up(trim)])
+    return np.asarray(total[[1, 3, 5]] / weight / [length, 1.0, 1.0])
 
 
 def _zero(boat: Boat, speed: float, wrong: Callable[[Array], Array], guess: list[float]) -> Array:
