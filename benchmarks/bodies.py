@@ -55,7 +55,7 @@ class Body:
     def vehicle(self, group: Any) -> Holonomic:
         return Holonomic(name="body", group=group, inertia=(*self.inertia, *[self.mass] * 3), gravity=0.0)
 
-    @cache  # noqa: B019
+    @cache  # noqa: B019 as `vehicle`
     def reference(self, name: str, compiled: bool) -> Kernel:
         return Kernel(reference_step(self.vehicle(SE3), REFERENCES[name]), compiled)
 
@@ -69,7 +69,7 @@ class Body:
 
         def law(t: float, y: np.ndarray) -> np.ndarray:
             a, b, c, d, p, q, r = y
-            I, J, K = self.inertia  # noqa: E741
+            I, J, K = self.inertia  # noqa: E741 the moments of inertia as in textbooks
             spin = (-b * p - c * q - d * r, a * p + c * r - d * q, a * q + d * p - b * r, a * r + b * q - c * p)
             return np.array([*(0.5 * s for s in spin), (J - K) / I * q * r, (K - I) / J * r * p, (I - J) / K * p * q])
 

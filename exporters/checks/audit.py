@@ -176,14 +176,14 @@ class StageScene(Scene):
         return [_Body(self.delivered, self.delivered.vehicle(other)) for other in self._others]
 
     @cached_property
-    def reach(self) -> float:  # type: ignore[override]
+    def reach(self) -> float:  # type: ignore[override]  # a property of `Scene`
         first = float(self.delivered.frames[0])
         base = self.delivered.world_matrix(self._root, first)[:3, 3]
         corners = np.vstack([cloud.placed(first, cloud.points) for cloud in self._own])
         return float(np.linalg.norm(corners - base, axis=1).max())
 
     @cached_property
-    def fastest(self) -> float:  # type: ignore[override]
+    def fastest(self) -> float:  # type: ignore[override]  # as `reach`
         return max((body.fastest for body in self._moving), default=0.0)
 
     @property

@@ -86,11 +86,11 @@ class Spaced(Environment):
         self._rate: tuple[Array, Array | None] = self._now
 
     @property
-    def next_step(self) -> float:  # type: ignore[override]
+    def next_step(self) -> float:  # type: ignore[override]  # an attribute of `Environment`
         return self.part.next_step
 
     @property
-    def settled(self) -> bool:  # type: ignore[override]
+    def settled(self) -> bool:  # type: ignore[override]  # the same
         return self.part.settled
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
@@ -134,11 +134,11 @@ class Combined(Environment):
         self.max_step = min((part.max_step for part in self.parts), default=np.inf)
 
     @property
-    def next_step(self) -> float:  # type: ignore[override]
+    def next_step(self) -> float:  # type: ignore[override]  # the same
         return min((part.next_step for part in self.parts), default=np.inf)
 
     @property
-    def settled(self) -> bool:  # type: ignore[override]
+    def settled(self) -> bool:  # type: ignore[override]  # the same
         return any(part.settled for part in self.parts)
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
