@@ -203,3 +203,17 @@ def test_a_hop_is_not_held():
     marks = {"frame": 1001, "position": [0, 0, 0]}, {"frame": "free", "position": [2, 0, 0], "hold": 3}
     (problem,) = errors(shot("hopper", *marks))
     assert problem.key.endswith("mark[1].hold") and "ends as it lands" in problem.message
+
+
+def test_a_character_makes_no_manoeuvre_fail():
+    """Marks that leave too little time for it are driven as a stunt, with a warning."""
+    marks = [{"frame": 1001, "position": [6, 0, 0]}, {"frame": "free", "position": [0, -2.3, 0]}]
+    frames = []
+    for character in ("normal", "stunt"):
+        data = shot("car", *marks)
+        data["vehicle"][0]["motion"]["character"] = character
+        frames.append(Shot.from_dict(data).solve().frames[1])
+    assert frames[1] < frames[0]
+    with pytest.warns(UserWarning, match="driven as stunt: the marks leave too little time for normal"):
+        take = Shot.from_dict(shot("car", marks[0], marks[1] | {"frame": frames[1]})).solve()
+    assert take.frames[1] == frames[1]

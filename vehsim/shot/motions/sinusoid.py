@@ -5,6 +5,7 @@ This module holds the animator's table and its checks; `vehsim.sinusoids` steers
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise, product
@@ -162,7 +163,7 @@ class SinusoidMotion(Table):
             short = short or distance / speed > float((arrive - leave - a.hold) / context.fps) * (1 + 1e-6)
         if short:
             try:
-                late = self._legs(vehicle, context, silent)[2]
+                late = self._in_time(vehicle, context, silent)[3]
             except SolveError as error:
                 yield error.problem.seen_from("mark", remedy="move a mark, or give it another method")
                 return
@@ -189,10 +190,17 @@ class SinusoidMotion(Table):
         from vehsim.sinusoids.manoeuvres.manoeuvres import joined
         from vehsim.sinusoids.manoeuvres.rigs import clip_of
 
-        rig, options, fps = self._rig(vehicle), self._sinusoid_options(self._rig(vehicle)), float(context.fps)
-        parts, taken, late = self._legs(vehicle, context, progress)
+        rig, fps = self._rig(vehicle), float(context.fps)
+        driven, parts, taken, late = self._in_time(vehicle, context, progress)
         if late:
             raise SolveError.of(*(replace(problem, subject=vehicle.name) for problem in late))
+        if driven.character != self.character:
+            warnings.warn(
+                f"{vehicle.name}: driven as {driven.character}: the marks leave too little time for {self.character}; "
+                "give later frames",
+                stacklevel=2,
+            )
+        options = driven._sinusoid_options(rig)
         whole = joined(parts, [mark.hold / fps for mark in self.mark[1:]])
         begin = int(self.mark[0].frame) + self.mark[0].hold
         clip = clip_of(whole, vehicle, context.fps, begin, height=self.mark[0].position[2], **rig.flight)
@@ -200,7 +208,12 @@ class SinusoidMotion(Table):
         marks = [mark.model_dump(mode="json", exclude_unset=True) for mark in self.mark]
         asks = self._asks(vehicle, context, [round(steering.duration * fps) for steering in parts])
         asks_as_data = [ask.as_dict() for ask in asks]
-        return clip, details | {"limits": dict(options.limits), "marks": marks, "asks": asks_as_data}
+        return clip, details | {
+            "character": driven.character,
+            "limits": dict(options.limits),
+            "marks": marks,
+            "asks": asks_as_data,
+        }
 
     def _asks(self, vehicle: Vehicle, context: Context, driven: list[int]) -> Iterator[Ask]:
         """The asks of marks, limits and obstacles for a motion whose legs take ``driven`` frames each."""
@@ -232,6 +245,17 @@ class SinusoidMotion(Table):
         if context.world.obstacles:
             wanted = {"clearance": self.clearance, "obstacles_only": planar, "landings": [], "slope": 0.0}
             yield Ask("clearance", "clearance", first, frame, wanted, lower=self.clearance - 0.01, unit="m")
+
+    def _in_time(
+        self, vehicle: Vehicle, context: Context, progress: Progress
+    ) -> tuple[SinusoidMotion, list[Steering], list[dict[str, Any]], list[Problem]]:
+        """The motion in its character, or as a stunt where its frames leave too little time for that, and its `_legs`:
+        a character makes no motion fail."""
+        found = self._legs(vehicle, context, progress)
+        if found[2] and self.character != STUNT:
+            stunt = self.model_copy(update={"character": STUNT})
+            return stunt, *stunt._legs(vehicle, context, progress)
+        return self, *found
 
     def _legs(
         self, vehicle: Vehicle, context: Context, progress: Progress
