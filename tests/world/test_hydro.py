@@ -377,9 +377,26 @@ def test_without_capytaine_it_says_what_to_install(tmp_path, monkeypatch):
         computed(body.hull, body.floating()[0])
 
 
+def test_the_cache_of_hulls_is_bounded(tmp_path, monkeypatch):
+    """The least recently used ones go, those of earlier methods first."""
+    from vehsim.world.water import boundary_elements
+
+    found, cache, body = coefficients("barge"), tmp_path / "cache", afloat("barge")
+    monkeypatch.setenv("VEHSIM_CACHE", str(cache))
+    monkeypatch.setattr(boundary_elements, "_computed", lambda *given: found)
+    monkeypatch.setattr(boundary_elements, "MOST_KEPT", 3.5 * len(found.content))
+    cache.mkdir()
+    (cache / "hydro-1-earlier").write_bytes(found.content)
+    for height in (0.1, 0.2, 0.3, 0.4, 0.5):
+        boundary_elements.coefficients(body.hull, height)
+    assert len(list(cache.iterdir())) == 3 and not (cache / "hydro-1-earlier").exists()
+    monkeypatch.setattr(boundary_elements, "_computed", None)
+    boundary_elements.coefficients(body.hull, 0.5)  # the last one is still there
+
+
 @pytest.mark.skipif(not available(), reason="pip install 'vehsim[hydro]'")
 def test_capytaine_computes_a_hull(tmp_path, monkeypatch):
-    """A coarse one at few frequencies; the second time, from the cache."""
+    """A coarse one at few frequencies; the second time, from the cache, which has Capytaine's table too."""
     from vehsim.world.water import boundary_elements
 
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
@@ -390,6 +407,7 @@ def test_capytaine_computes_a_hull(tmp_path, monkeypatch):
     found = boundary_elements.coefficients(body.hull, body.floating()[0], lambda what, share: done.append(share))
     np.testing.assert_allclose(np.diag(found.infinite), np.diag(coefficients("barge").infinite), rtol=0.2)
     assert len(done) > 10
+    assert len(list((tmp_path / "cache").glob("capytaine-*"))) == 1
     monkeypatch.setattr(boundary_elements, "_computed", None)
     again = boundary_elements.coefficients(body.hull, body.floating()[0])
     np.testing.assert_array_equal(again.added, found.added)

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from hashlib import sha256
 from importlib.util import find_spec
 from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY, SEA_WATER
 from vehsim.errors import InputError
 from vehsim.intake.foreign import reason_of
-from vehsim.runtime.cache import lookup, store
+from vehsim.runtime.cache import kept, lookup, shrink, store
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles.definition.coefficients import Coefficients
 from vehsim.world.water.hull_mesh import HullMesh, wetted
@@ -44,7 +46,9 @@ SIMPLE = 400
 APART = 0.2
 """Largest plausible difference of two added masses; it is below 0.1 for single hulls."""
 KIND = "hydro-4"
-"""Of cached results: change it when the method changes."""
+"""Of cached results: change the number when the method changes."""
+MOST_KEPT = 200_000_000
+"""Bytes of all cached results: those of about 500 hulls."""
 TWIST = [3, 4, 5, 0, 1, 2]
 """Capytaine's order of the modes, in a twist."""
 MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
@@ -84,12 +88,13 @@ def coefficients(hull: HullMesh, height: float, progress: Progress | None = None
     """Those of a ``hull`` about the body frame's origin, which is ``height`` m above the water, from the cache if they
     were computed before. Raises ``InputError`` if Capytaine is not installed."""
     key = _key(hull, height)
-    kept = lookup(KIND, key)
-    if kept is not None:
-        with np.load(BytesIO(kept), allow_pickle=False) as arrays:
+    before = lookup(KIND, key)
+    if before is not None:
+        with np.load(BytesIO(before), allow_pickle=False) as arrays:
             return Coefficients.of(dict(arrays), hull.name)
     found = _computed(hull, height, SEA_WATER, progress)
     store(KIND, key, found.content)
+    shrink(KIND.partition("-")[0], MOST_KEPT)  # those of earlier methods too
     return found
 
 
@@ -121,7 +126,8 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
             dofs=capytaine.rigid_body_dofs(rotation_center=origin),
             center_of_mass=origin,
         )
-        solver, modes = capytaine.BEMSolver(), [list(body.dofs)[k] for k in TWIST]
+        solver = capytaine.BEMSolver(green_function=_green_function())
+        modes = [list(body.dofs)[k] for k in TWIST]
         options = {"progress_bar": False, "_check_wavelength": False}
         common = {"body": body, "rho": density, "g": GRAVITY}
 
@@ -179,6 +185,23 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
         height=height,
         memory=memory,
     )
+
+
+def _green_function() -> Any:
+    """Capytaine's, from a table that takes 16 s of CPU time to make. vehsim's cache keeps it: Capytaine
+    itself also reads what another process has half written."""
+    import capytaine
+
+    with TemporaryDirectory() as folder:
+
+        def table() -> bytes:
+            capytaine.Delhommeau(tabulation_cache_dir=folder)
+            (file,) = Path(folder).iterdir()
+            return file.name.encode() + b"\n" + file.read_bytes()
+
+        name, _, content = kept(f"capytaine-{capytaine.__version__}", "table", table).partition(b"\n")
+        Path(folder, name.decode()).write_bytes(content)
+        return capytaine.Delhommeau(tabulation_cache_dir=folder)
 
 
 def plausible(agreeing: Array, solved: Array) -> Array:
