@@ -327,19 +327,29 @@ def _shape(pack: Packing, shape: Shape, groups: tuple[str, ...], surfaces: list[
     corners = [shape.faces, shape.face_normals]
     if shape.uvs is not None and shape.face_uvs is not None:
         corners.append(shape.face_uvs)
-    used, faces = np.unique(np.stack(corners, axis=-1).reshape(-1, len(corners)), axis=0, return_inverse=True)
-    normals = np.zeros((len(used), 4))
-    normals[:, :3] = np.round(127 * shape.normals[used[:, 1]])
+    used, faces = _distinct([each.ravel() for each in corners])
+    normals = np.zeros((len(used[0]), 4))
+    normals[:, :3] = np.round(127 * shape.normals[used[1]])
     return {
         "name": shape.name,
         "group": groups.index(shape.group) if shape.group else -1,
         "material": surfaces.index(shape.surface),
         "double": not shape.closed,
-        "points": pack.array(shape.points[used[:, 0]], "f4"),
+        "points": pack.array(shape.points[used[0]], "f4"),
         "normals": pack.array(normals, "i1"),
-        "uvs": None if shape.uvs is None else pack.array(shape.uvs[used[:, 2]], "f4"),
+        "uvs": None if shape.uvs is None else pack.array(shape.uvs[used[2]], "f4"),
         "faces": pack.array(faces, "u4"),
     }
+
+
+def _distinct(columns: Sequence[NDArray[np.integer]]) -> tuple[list[NDArray[np.integer]], NDArray[np.integer]]:
+    """The distinct tuples of columns (n,) of indices, column by column, in their order; and which of them each is.
+
+    As one number each, they are sorted ten times faster than as rows.
+    """
+    sizes = [int(column.max(initial=0)) + 1 for column in columns]
+    packed, which = np.unique(np.ravel_multi_index(columns, sizes), return_inverse=True)
+    return list(np.unravel_index(packed, sizes)), which
 
 
 def _material(surface: Material, textures: list[Path]) -> dict[str, Any]:
@@ -409,7 +419,8 @@ def _cameras(pack: Packing, stage: StageReader, take: Take, frames: Array) -> It
 def _water(pack: Packing, take: Take, stage: StageReader) -> dict[str, Any]:
     """The stage's surface, and how it looks."""
     frames = _frames(take)
-    shown = ((points, foam) for points, _, foam, _ in map(stage.water_at, frames[: take.usd.water_frames].tolist()))
+    drawn = frames if take.usd.moving_water else frames[:1]
+    shown = ((points, foam) for points, _, foam, _ in map(stage.water_at, drawn.tolist()))
     return {
         **_surface(pack, stage.water_net.shape, TILE * stage.water_st(), shown, len(frames)),
         "ripples": {"type": "image/png", **pack.content(ripples())},

@@ -12,7 +12,7 @@ import vehsim
 from vehsim.cameras.camera import CameraRig
 from vehsim.cameras.framing import solve_camera
 from vehsim.clip.clip import Clip
-from vehsim.delivery.take import RenderSettings, Take
+from vehsim.delivery.take import RenderSettings, Take, UsdSettings
 from vehsim.exporters.checks.validate import validate_stage
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.render import StageRenderer
@@ -411,6 +411,20 @@ def test_the_surface_has_an_extent_at_every_frame_and_a_rest_pose(shown):
         points, extent = (np.array(attribute.Get(when)) for attribute in (mesh.GetPointsAttr(), mesh.GetExtentAttr()))
         assert (extent == [points.min(axis=0), points.max(axis=0)]).all()
     assert np.ptp(np.array(mesh.GetPointsAttr().Get())[:, 2]) == 0.0
+
+
+def test_still_water_has_waves_but_no_wakes_nor_foam(shown):
+    """On its one frame, the points lie on the sea itself; those of moving water do not, at 6 m/s."""
+    take, _ = shown
+    grid, frames = water_grid.lay_grid(take), np.array([1001.0])
+    still, moving = (
+        next(authored.surfaces(replace(take, usd=UsdSettings(moving_water=moves)), grid, frames))
+        for moves in (False, True)
+    )
+    assert not still.foam.any() and moving.foam.max() > 0.5
+    near = (grid.cells < 0.5) & (still.lowered == 0) & (moving.lowered == 0)
+    off = [shown.points[near, 2] - take.world.water.height(shown.points[near, :2], 0.0) for shown in (still, moving)]
+    assert np.abs(off[0]).max() < 0.01 < 0.05 < np.abs(off[1]).max()
 
 
 def test_each_wave_fades_by_its_own_length():

@@ -79,6 +79,17 @@ WRONG = [
 ]
 
 
+def test_a_file_that_was_read_is_read_again_when_it_changes(tmp_path: Path) -> None:
+    """And what one reader changes in its data, another does not see."""
+    from vehsim.vehicles.library.file import read_vehicle
+
+    path = vehicle(tmp_path) / "vehicle.toml"
+    read_vehicle(path)["origin"][0] = 5.0
+    assert read_vehicle(path)["origin"] == [-1.3, 0.0, 0.0]
+    path.write_text(path.read_text().replace("origin = [-1.3, 0.0, 0.0]", "origin = [-1.2, 0.0, 0.0]"))
+    assert read_vehicle(path)["origin"] == [-1.2, 0.0, 0.0]
+
+
 @pytest.mark.parametrize(("change", "says"), WRONG, ids=[str(k) for k in range(len(WRONG))])
 def test_invalid_values_are_refused(change: tuple[str, str], says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=says) as refused:

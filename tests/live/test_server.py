@@ -242,6 +242,8 @@ def test_a_boat_is_shown_before_the_water_moves(afloat):
             assert still["shape"] == water.header["shape"]
             count = np.prod(still["shape"])
             assert len(scene.array(still["foam"])) == count and len(water.array(water.header["foam"])) == 121 * count
+            height = scene.array(still["start"])[2::3].max()
+            assert height == pytest.approx(0.1, abs=0.01)  # the wave itself is there, half of 0.2 m
             before = len(page.seen)
             await page.send(**moved("place", 9, 1))
             await page.until("water")

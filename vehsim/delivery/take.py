@@ -80,8 +80,8 @@ class UsdSettings:
     within these tolerances; without an angle, `curve_tolerances` chooses it. ``clip_frames``: value clips of that many
     frames.
     ``layer_only``: write only the vehicles' animation layers. ``tyre_marks``: those of sliding tyres on the ground.
-    ``spray``: with the water's spray, which takes nearly half of its time. ``water_frames``: how many
-    of the first frames have its surface.
+    ``spray``: with the water's spray, which takes nearly half of its time. ``moving_water``: else the water has only
+    the surface of the first frame, without wakes and foam, which take most of the rest.
     """
 
     up_axis: str = "Z"
@@ -96,7 +96,7 @@ class UsdSettings:
     tyre_marks: bool = True
     versions: bool = False
     spray: bool = True
-    water_frames: int | None = None
+    moving_water: bool = True
 
 
 @dataclass(frozen=True)

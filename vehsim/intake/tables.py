@@ -9,11 +9,12 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import textwrap
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,6 +24,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from vehsim.errors import Problem, ShotError
 from vehsim.intake.toml import line_of, lines_of, read_toml
+from vehsim.runtime.cache import Stamp, stamp
 
 NAME = "[A-Za-z_][A-Za-z0-9_]{0,99}"
 """The pattern of names of shots and of what is in them."""
@@ -69,16 +71,21 @@ def _docstrings(model: type) -> dict[str, str]:
     """Key -> the text below it in the source, including base classes; empty if no sources are installed."""
     texts: dict[str, str] = {}
     for base in reversed(model.__mro__[: model.__mro__.index(Table)]):
-        try:
-            source = inspect.getsource(base)
-        except OSError:
-            continue
-        body = ast.parse(textwrap.dedent(source)).body[0].body  # type: ignore[attr-defined]
-        for key, below in pairwise(body):
+        for key, below in pairwise(_classes(base.__module__).get(base.__name__, ())):
             match key, below:
                 case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
                     texts[name] = inspect.cleandoc(text)
     return texts
+
+
+@cache
+def _classes(module: str) -> dict[str, Sequence[ast.stmt]]:
+    """The bodies of a module's classes by name; empty if its source is not installed."""
+    try:
+        source = inspect.getsource(sys.modules[module])
+    except (OSError, TypeError):  # TypeError: of an interactive session
+        return {}
+    return {node.name: node.body for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)}
 
 
 class Table(BaseModel):
@@ -133,6 +140,11 @@ Name = Annotated[str, Field(pattern=f"^{NAME}$")]
 
 def read_table(path: Path, model: type[Table]) -> dict[str, Any]:
     """The data of a TOML file that is a ``model``. Raises ``ShotError`` with everything that is wrong and its lines."""
+    return deepcopy(_read(path, model, stamp(path) if path.is_file() else None))
+
+
+@lru_cache(maxsize=256)
+def _read(path: Path, model: type[Table], written: Stamp | None) -> dict[str, Any]:
     data, text = read_toml(path)
     try:
         model.model_validate(data)

@@ -232,7 +232,7 @@ class Session:
     def scene(self) -> bytes:
         """The whole scene of what the page shows, read from a stage that is exported for it.
 
-        Water is that of the first frame; `water` follows.
+        Water is that of the first frame, without wakes and foam; `water` follows.
         """
         from vehsim.delivery.exporters import write_files
         from vehsim.exporters.usd.stage import StageReader
@@ -677,7 +677,7 @@ def _plain(take: Take) -> Take:
         layer_only=False,
         versions=False,
         spray=False,
-        water_frames=1,
+        moving_water=False,
     )
     return replace(take, usd=form)
 

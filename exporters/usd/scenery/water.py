@@ -83,7 +83,8 @@ def write_water(take: Take, folder: Path, progress: Callable[[float], object] = 
     rest = np.column_stack([grid.xy, np.full(len(grid.xy), water.level)])
     origin = author_origin(mesh, rest.mean(axis=0))
     _set_points(points.Set, extent.Set, rest - origin)
-    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)[: take.usd.water_frames]
+    frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
+    frames = frames if take.usd.moving_water else frames[:1]
     spray: list[Drops] = []
     for k, (frame, shown) in enumerate(zip(frames.tolist(), surfaces(take, grid, frames), strict=True)):
         place, normals, foam, lowered, drops = shown
@@ -124,16 +125,17 @@ class Shown(NamedTuple):
 
 
 def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
-    """The surface for every frame, in their order."""
+    """The surface for every frame, in their order; without wakes and foam if the take's water does not move."""
     water, fps, xy = take.world.water, float(take.fps), grid.xy
     assert water is not None
     afloat = floating(take, frames)
     warn_of_coarse(afloat, grid)
-    wake = Wake(afloat, frames, fps) if afloat else None
-    trails = Foam(afloat, xy, frames, fps)
+    stirring = afloat if take.usd.moving_water else {}
+    wake = Wake(stirring, frames, fps) if stirring else None
+    trails = Foam(stirring, xy, frames, fps)
     wakes: Iterable[Raised | None] = repeat(None, len(frames)) if wake is None else wake.heights()
     start = min((clip.start_frame for clip in take.clips.values()), default=take.frames[0])
-    breaking = _breaking(take)
+    breaking = _breaking(take) if take.usd.moving_water else None
     sea, whitecaps = _undisturbed(water, grid), None if breaking is None else _whitecaps(take, grid, breaking)
     spray = Spray(afloat, water, breaking, grid, take.world.wind, start, fps) if take.usd.spray else None
     for k, (frame, raised) in enumerate(zip(frames.tolist(), wakes, strict=True)):
