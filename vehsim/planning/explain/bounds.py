@@ -233,26 +233,26 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
 
     n, here = len(inverse_roots[0]), _turned(vehicle, 0.0)
     still, calm = np.zeros(n), np.zeros(3)
-    most, force = 0.0, Kernel(laws["force"])
-    for r, root in zip(joints, inverse_roots, strict=True):
-        pushes = _rows(force, here, r, still, grid, calm)
-        most = max(most, float(np.linalg.norm(pushes @ root, axis=1).max()))
+    # all at once: a call for each of these rows would cost more than the rows themselves
+    force, roots, shapes = Kernel(laws["force"]), np.array(inverse_roots), np.array(joints)
+    each, count = np.repeat(shapes, len(grid), axis=0), len(shapes)
+    pushes = _rows(force, here, each, still, np.tile(grid, (count, 1)), calm).reshape(count, len(grid), n)
+    most = float(np.linalg.norm(pushes @ roots, axis=2).max())
 
-    gains, losses = np.zeros(len(SPEEDS)), np.zeros(len(SPEEDS))
     picks = random.integers(0, len(joints), SAMPLES)
     facing = np.array([_turned(vehicle, angle) for angle in random.uniform(-np.pi, np.pi, SAMPLES)])
     controls = grid[random.integers(0, len(grid), SAMPLES)]
     rays = random.normal(size=(SAMPLES, n))
     rays[: 2 * n] = np.vstack([np.eye(n), -np.eye(n)])[: min(2 * n, SAMPLES)]
     rays /= np.linalg.norm(rays, axis=1)[:, None]
-    shapes = np.array([joints[k] for k in picks])
+    shapes, velocities = shapes[picks], np.einsum("kij,kj->ki", roots[picks], rays)
     rest = _rows(force, facing, shapes, still, controls, calm)
-    velocities = np.array([inverse_roots[k] @ ray for k, ray in zip(picks, rays, strict=True)])
-    for k, speed in enumerate(SPEEDS):
-        q = max(speed, 1e-6) / fastest
-        change = _rows(force, facing, shapes, q * velocities, controls, np.array(wind)) - rest
-        power = (change * velocities).sum(axis=1)
-        gains[k], losses[k] = max(0.0, float(power.max())), max(0.0, float(-power.min()))
+    q, tiled = np.maximum(SPEEDS, 1e-6) / fastest, (len(SPEEDS), 1)
+    moving = (q[:, None, None] * velocities).reshape(-1, n)
+    given = (np.tile(facing, tiled), np.tile(shapes, tiled), moving, np.tile(controls, tiled), np.array(wind))
+    change = _rows(force, *given).reshape(len(SPEEDS), SAMPLES, n) - rest
+    power = (change * velocities).sum(axis=2)
+    gains, losses = np.maximum(power.max(axis=1), 0.0), np.maximum(-power.min(axis=1), 0.0)
     gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + GRAVITY * slope
     loss = gain + np.maximum.accumulate(losses) * fastest * SAMPLING_FACTOR
     return Push(gain, loss)

@@ -42,9 +42,10 @@ def along_paths(
     point, plus the angle to the right.
     """
     fraction, leg = _knot_fractions(layout)
-    pace = [_pace(marks[j].at_rest, marks[j + 1].at_rest) for j in range(len(paths))]
-    s = np.array([_progress(paths[j], pace[j], f) for f, j in zip(fraction, leg, strict=True)])
-    positions = np.array([_along(paths[j], f)[:3] for f, j in zip(s, leg, strict=True)])
+    s, positions = np.empty(len(leg)), np.empty((len(leg), 3))
+    for j, path in enumerate(paths):
+        s[leg == j] = _progress(path, _pace(marks[j].at_rest, marks[j + 1].at_rest), fraction[leg == j])
+        positions[leg == j] = _along(path, s[leg == j])[:, :3]
     headings = _headings(marks, paths, s, leg)
     for first, last, point, offset in aims:
         knots = np.arange(first, last + 1)
@@ -129,28 +130,40 @@ def _pace(rest_before: bool, rest_after: bool) -> Array:
     return np.array([a + b - 2, 3 - 2 * a - b, a, 0.0])
 
 
-def _progress(path: Array, pace: Array, fraction: float) -> float:
-    """Share of a path's length after a fraction of the leg's duration: by the path's own shares, or a polynomial."""
+def _progress(path: Array, pace: Array, fraction: Array) -> Array:
+    """Share of a path's length after fractions (n,) of the leg's duration: by the path's own shares, or a
+    polynomial."""
     if path.shape[1] < 5:
-        return float(np.polyval(pace, fraction))
-    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
-    return float(np.interp(fraction, path[:, 4], steps) / max(steps[-1], 1e-9))
+        return np.asarray(np.polyval(pace, fraction), float)
+    steps = _lengths(path)
+    return np.interp(fraction, path[:, 4], steps) / max(steps[-1], 1e-9)
 
 
-def _along(path: Array, fraction: float) -> Array:
-    steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
-    at = fraction * steps[-1]
-    return np.array([np.interp(at, steps, column) for column in path.T])
+def _along(path: Array, share: Array) -> Array:
+    """The points (n, k) of a path at shares (n,) of its length."""
+    steps = _lengths(path)
+    return np.column_stack([np.interp(share * steps[-1], steps, column) for column in path.T])
+
+
+def _lengths(path: Array) -> Array:
+    """Length of a path (k, ...) up to each of its points, m."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1))])
 
 
 def _headings(marks: Sequence[Mark], paths: Sequence[Array], s: Array, leg: NDArray[np.intp]) -> Array:
     """Headings (knots,) rad along the path, blended into the marks' own headings at both ends of a leg."""
     out = np.zeros(len(s))
-    for i, (f, j) in enumerate(zip(s, leg, strict=True)):
-        if paths[j].shape[1] > 3:  # the path has headings
-            out[i] = _along(paths[j], f)[3]
+    directions = np.zeros((len(s), 2))
+    for j, path in enumerate(paths):
+        at = s[leg == j]
+        if path.shape[1] > 3:  # the path has headings
+            out[leg == j] = _along(path, at)[:, 3]
+        else:
+            ahead = _along(path, np.minimum(1.0, at + 0.03)) - _along(path, np.maximum(0.0, at - 0.03))
+            directions[leg == j] = ahead[:, :2]
+    for i, (f, j, ahead) in enumerate(zip(s, leg, directions, strict=True)):
+        if paths[j].shape[1] > 3:
             continue
-        ahead = _along(paths[j], min(1.0, f + 0.03)) - _along(paths[j], max(0.0, f - 0.03))
         flat = float(np.hypot(ahead[0], ahead[1]))
         out[i] = np.arctan2(ahead[1], ahead[0]) if flat > 1e-6 else (out[i - 1] if i else 0.0)
         for mark, weight in ((marks[j], 1 - f / 0.15), (marks[j + 1], 1 - (1 - f) / 0.15)):
