@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +28,15 @@ if TYPE_CHECKING:
     from vehsim.integrators.phase import Phase
     from vehsim.world.world import World
 
+STORED = (
+    "vehsim.vehicles.definition.base:State",
+    "vehsim.integrators.phase:Phase",
+    "vehsim.world.water.buoyancy:Forces",
+    "vehsim.world.water.running:Lift",
+    "vehsim.world.contact.contact:Event",
+    "vehsim.world.contact.grip:Grip",
+)
+"""The classes of what continues a simulation, in addition to plain data."""
 MAX_STEPS = 10_000_000
 """Largest number of integration steps of a simulation."""
 
@@ -100,6 +110,7 @@ def simulate(
         "order": order,
         "actuators": actuators,
         "world": "with external forces" if environment is not None else "without external forces",
+        "start": _numbers(begin),
     }
     if environment is not None:
         cuts = substeps(h, environment)
@@ -116,14 +127,14 @@ def simulate(
             rate,
             start_frame,
             progress,
-            _memory(after, steps, settings),
+            None if after is None else _memory(after, steps, settings),
         )
         clip = _commanded(clip, law)
         _warn_limits(vehicle, clip)
         _warn_targets(controls, clip)
         return _ended(clip, memory, settings)
     settings["controls"] = "a function" if table is None else "numbers"
-    before = _memory(after, steps, settings)
+    before = None if after is None else _memory(after, steps, settings)
     integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
 
     if table is None:
@@ -200,17 +211,24 @@ def simulate_together(
     if after is not None and set(after) != set(movers):
         raise InputError("not the vehicles of movers", "give a clip of each", key="after", value=sorted(after))
     settings = {
-        name: {**_settings(vehicle, h, rate, start_frame), "movers": list(movers)} for name, vehicle, *_ in prepared
+        name: {**_settings(vehicle, h, rate, start_frame), "movers": list(movers), "start": _numbers(begin)}
+        for name, vehicle, _, begin, _ in prepared
     }
-    memories = [_memory(after[name], steps, settings[name]) for name in movers] if after is not None else [None]
-    memory = pushed_together(recordings, meeting, steps, cuts, progress, memories[0])
+    before = None
+    if after is not None:
+        left = [_memory(after[name], steps, settings[name]) for name in movers]
+        if len({len(after[name]) for name in movers}) > 1:
+            raise InputError("clips of different lengths", "give those of one call", key="after")
+        before = {**left[0], "recordings": [own["recordings"] for own in left]}
+    memory = pushed_together(recordings, meeting, steps, cuts, progress, before)
     clips = {}
     for k, (recording, (name, vehicle, law, _, environment)) in enumerate(zip(recordings, prepared, strict=True)):
         events = sorted([*environment.events(), *meeting.events(k)], key=lambda event: event["time"])
         clips[name] = _commanded(recording.clip(events, rate, start_frame), law)
         _warn_limits(vehicle, clips[name])
         _warn_targets(movers[name].controls, clips[name])
-        clips[name] = _ended(clips[name], memory, settings[name])
+        own = {**memory, "recordings": memory["recordings"][k]}
+        clips[name] = _ended(clips[name], own, settings[name])
     return clips
 
 
@@ -220,19 +238,32 @@ def _settings(vehicle: Vehicle, step: float, fps: Fraction, start_frame: int) ->
     return {**named, "step": step, "fps": str(fps), "start_frame": start_frame}
 
 
+def _numbers(state: State) -> dict[str, list[float]]:
+    """The parts of a state that are given."""
+    return {part: np.asarray(value, float).tolist() for part, value in vars(state).items() if value is not None}
+
+
 def _ended(clip: Clip, memory: Mapping[str, Any], settings: Mapping[str, Any]) -> Clip:
     """The clip, such that it can be continued."""
-    return replace(clip, ending={"positions": clip.positions, "memory": memory, "settings": settings})
+    from vehsim.clip.ending import encoded
+
+    left = {"positions": _hash(clip), "settings": settings, "memory": memory}
+    return replace(clip, ending=encoded(left, STORED))
 
 
-def _memory(after: Clip | None, steps: int, settings: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """What a clip that is continued for ``steps`` in all left; None: none is. Raises ``InputError``."""
-    if after is None:
-        return None
-    if after.ending is None or not np.array_equal(after.ending["positions"], after.positions):
-        remedy = "take a clip as `simulate` returned it in this session, neither edited nor read from a file"
+def _hash(clip: Clip) -> str:
+    return sha256(clip.positions.tobytes()).hexdigest()
+
+
+def _memory(after: Clip, steps: int, settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What a clip that is continued for ``steps`` in all left. Raises ``InputError``."""
+    from vehsim.clip.ending import decoded
+
+    ending = {} if after.ending is None else decoded(after.ending, STORED)
+    if ending.get("positions") != _hash(after):
+        remedy = "take a clip as `simulate` made it, not edited"
         raise InputError("cannot be continued", remedy, key="after", subject=after.vehicle.name)
-    earlier = after.ending["settings"]
+    earlier = ending["settings"]
     for key in {**settings, **earlier}:
         if settings.get(key) != earlier.get(key):
             message = f"the clip to be continued has {earlier.get(key)}"
@@ -240,7 +271,7 @@ def _memory(after: Clip | None, steps: int, settings: Mapping[str, Any]) -> Mapp
     if len(after) > steps + 1:
         message = f"has {len(after) - 1} steps, more than the {steps} of the whole duration"
         raise InputError(message, "give a longer duration, which counts from the start", key="after")
-    memory: Mapping[str, Any] = after.ending["memory"]
+    memory: Mapping[str, Any] = ending["memory"]
     return memory
 
 
@@ -278,7 +309,7 @@ def _fly(
     """Simulate with controls that depend on the state: evaluate them at each knot's predicted state, then step."""
     from vehsim.integrators.carried import carried, carry_on
     from vehsim.integrators.guards import warn_of_stiff_damping
-    from vehsim.integrators.phase import packed
+    from vehsim.integrators.phase import packed, unpacked
     from vehsim.integrators.record import build_clip
     from vehsim.vehicles.definition.states import control_vector
 
@@ -302,7 +333,8 @@ def _fly(
     phases: list[Phase] = [phase]
     controls = [c]
     if memory is not None:
-        phases, controls, asked = list(memory["phases"]), list(memory["controls"]), list(memory["asked"])
+        phases = [unpacked(integrator.mechanics, x) for x in memory["phases"]]
+        controls, asked = list(memory["controls"]), list(memory["asked"])
         for t, state in asked[1:]:
             pilot(t, state)
         carry_on(pilot, memory["law"])
@@ -326,8 +358,8 @@ def _fly(
     clip = build_clip(
         integrator.mechanics, times, g, r, pi, rows, anchor, wind=integrator.wind, fps=fps, start_frame=start_frame
     )
-    law = carried(pilot) if hasattr(pilot, "CARRIED") else {}
-    return clip, {"phases": tuple(phases), "controls": tuple(controls), "asked": tuple(asked), "law": law}
+    left = {"phases": np.array([packed(p) for p in phases]), "controls": rows}
+    return clip, {**left, "asked": tuple(asked), "law": carried(pilot)}
 
 
 def _table(vehicle: Vehicle, controls: Any) -> Array:

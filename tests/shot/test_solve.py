@@ -114,7 +114,7 @@ def test_a_simulated_helicopter_starts_in_balance(
 
 
 def test_a_motion_that_can_be_continued_has_the_same_content(small: dict[str, Any]) -> None:
-    """What continues a simulation is no part of it; a motion from the cache lacks it."""
+    """What continues a simulation is no part of its motion."""
     small["world"] = {"terrain": "flat", "contact": {}}
     small["vehicle"][0] |= {
         "asset": "helicopter",

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.clip.ending import Arrays
 from vehsim.clip.interpolant import interpolate
 from vehsim.clip.samples import ARRAYS, GROUPS, Samples, check_shapes
 from vehsim.errors import InputError
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+ENDING = "ending."
+"""The prefix of the arrays of `Clip.ending` in a saved clip."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Clip(Samples):
@@ -37,11 +41,11 @@ class Clip(Samples):
     (n, d) in body axes, rad/s then m/s; ``joints``, ``joint_rates`` (n, s); ``controls`` (n, c); ``channels`` rig
     channel name -> (n,), rad or m, unwrapped. Sample k is frame ``start_frame + times[k] * fps``. ``events``: for
     example contacts; ``energy``: name -> (n,) J. ``commands``: what the actuators of the ``controls`` followed, control
-    name -> (n,); empty if a motion was not made from commands. ``ending``: what `vehsim.simulate` needs to continue it;
-    it is neither saved nor part of the motion.
+    name -> (n,); empty if a motion was not made from commands. ``ending``: what `vehsim.simulate` needs to continue it,
+    as `vehsim.clip.ending` encodes it; it is saved, but no part of the motion.
     """
 
-    ending: Any = field(default=None, compare=False)
+    ending: Arrays | None = field(default=None, compare=False)
 
     def at(self, times: Any) -> Clip:
         """The clip at any times (m,) s, through its interpolant: C1 in the pose, exact at the knots.
@@ -68,14 +72,14 @@ class Clip(Samples):
         return clip.at(np.minimum(times, clip.times[-1]))
 
     def save(self, path: str | Path) -> Path:
-        """Write the clip as ``.npz``, atomically. `Clip.load` reads it back bit for bit."""
+        """Write the clip as ``.npz``, with what continues it, atomically. `Clip.load` reads it back bit for bit."""
         path = Path(path).with_suffix(".npz")
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, self.to_bytes())
+        write_file(path, self.to_bytes(ending=True))
         return path
 
-    def to_bytes(self) -> bytes:
-        """The bytes that `save` writes; `from_bytes` reads them."""
+    def to_bytes(self, *, ending: bool = False) -> bytes:
+        """The clip as bytes, which `from_bytes` reads; with what continues it if ``ending``."""
         header = {
             "schema": 1,
             "vehicle": self.vehicle.name,
@@ -90,6 +94,8 @@ class Clip(Samples):
         arrays = {name: getattr(self, name) for name in ARRAYS}
         for group, prefix in GROUPS.items():
             arrays |= {f"{prefix}{name}": values for name, values in getattr(self, group).items()}
+        if ending and self.ending is not None:
+            arrays |= {f"{ENDING}{name}": values for name, values in self.ending.items()}
         buffer = BytesIO()
         np.savez(buffer, header=np.array(json.dumps(header, sort_keys=True)), **arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
@@ -113,6 +119,7 @@ class Clip(Samples):
                 with np.load(file, allow_pickle=False) as data:
                     arrays = {name: data[name] for name in data.files}
             header = json.loads(str(arrays.pop("header")))
+            ending = {name.removeprefix(ENDING): arrays.pop(name) for name in list(arrays) if name.startswith(ENDING)}
             numbers = {name: np.asarray(values, float) for name, values in arrays.items()}
             columns: dict[str, Any] = {name: numbers[name] for name in ARRAYS}
             events, width = tuple(map(dict, header["events"])), columns["twists"].shape[-1]
@@ -126,7 +133,7 @@ class Clip(Samples):
         groups: dict[str, Any] = {group: _group(numbers, prefix) for group, prefix in GROUPS.items()}
         try:
             check_shapes(vehicle, columns, groups)
-            return cls(vehicle, **columns, **groups, fps=fps, start_frame=first, events=events)
+            return cls(vehicle, **columns, **groups, fps=fps, start_frame=first, events=events, ending=ending or None)
         except InputError as error:
             raise InputError(f"not a clip saved by vehsim: {error.message}", error.remedy, file=path) from None
 

@@ -9,13 +9,18 @@ from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
+from vehsim.errors import InputError
+
 
 def carried(thing: Any) -> dict[str, Any]:
     """A copy of what ``thing`` carries: attribute -> value."""
-    return {name: deepcopy(getattr(thing, name)) for name in thing.CARRIED}
+    return {name: deepcopy(getattr(thing, name)) for name in getattr(thing, "CARRIED", ())}
 
 
 def carry_on(thing: Any, values: Mapping[str, Any]) -> None:
-    """Let ``thing`` carry ``values``, which `carried` gave."""
-    for name, value in values.items():
-        setattr(thing, name, deepcopy(value))
+    """Let ``thing`` carry ``values``, which `carried` gave. Raises ``InputError`` if other code did."""
+    for name in getattr(thing, "CARRIED", ()):
+        if name not in values:
+            message = f"{name} is missing: another version of vehsim simulated it"
+            raise InputError(message, "simulate the first part again", key="after")
+        setattr(thing, name, deepcopy(values[name]))

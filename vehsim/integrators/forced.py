@@ -21,7 +21,7 @@ from vehsim.integrators.discrete import DiscreteMechanics, keep
 from vehsim.integrators.fast.kernel import Kernel
 from vehsim.integrators.guards import warn_of_stiff_damping
 from vehsim.integrators.integrator import Integrator
-from vehsim.integrators.phase import Phase, packed
+from vehsim.integrators.phase import Phase, packed, unpacked
 from vehsim.integrators.record import build_clip
 from vehsim.integrators.rest import Rest
 from vehsim.vehicles import State
@@ -224,9 +224,11 @@ class Recording:
             "own": carried(self),
             "body": carried(self.body),
             "environment": self.body.environment.memory(),
-            "law": carried(self._law) if hasattr(self._law, "CARRIED") else {},
+            "law": carried(self._law),
             "asked": tuple(self._asked),
-            "rows": tuple(self._rows),
+            "rows": [
+                np.array(column) for column in zip(*((packed(p), *other) for p, *other in self._rows), strict=True)
+            ],
         }
 
     def recall(self, memory: Mapping[str, Any]) -> None:
@@ -235,7 +237,9 @@ class Recording:
         carry_on(self, memory["own"])
         carry_on(self.body, memory["body"])
         self.body.environment.recall(memory["environment"])
-        self._rows, self._asked = list(memory["rows"]), list(memory["asked"])
+        mechanics = self.body.integrator.mechanics
+        self._rows = [(unpacked(mechanics, x), c, wrench) for x, c, wrench in zip(*memory["rows"], strict=True)]
+        self._asked = list(memory["asked"])
         for t, state in self._asked[1:]:
             self._law(t, state)
         carry_on(self._law, memory["law"])

@@ -116,7 +116,7 @@ def _solved(solve: Callable[[], SolvedMotion]) -> bytes:
     ours = [w for w in caught if issubclass(w.category, UserWarning)]
     _issue([w for w in caught if w not in ours])  # a library's warning on this occasion
     header = {"clips": list(clips), "reports": reports, "warnings": [str(w.message) for w in ours]}
-    parts = [json.dumps(header, default=_plain).encode(), *(clip.to_bytes() for clip in clips.values())]
+    parts = [json.dumps(header, default=_plain).encode(), *(clip.to_bytes(ending=True) for clip in clips.values())]
     return packed([np.frombuffer(part, np.uint8) for part in parts])
 
 

@@ -119,7 +119,7 @@ class Shot:
                 toml = (rig.folder or rig.asset.parent) / "vehicle.toml"
                 yield from vehicle_files(toml) if toml.is_file() else [toml]
                 yield from dependencies(rig.asset)[0]
-            for key in ("path", "file", "guess_file"):
+            for key in ("path", "file", "guess_file", "continues"):
                 if (path := getattr(table.motion, key, None)) is not None:
                     yield self.folder / path
         for blocking in self.blockings().values():
@@ -519,14 +519,16 @@ class Shot:
         """Their clips, advanced together in ``world``, and the report about each."""
         from vehsim.simulation import simulate_together
 
-        movers, durations = {}, []
+        movers, durations, after = {}, [], {}
         for name, (motion, vehicle) in simulated.items():
             movers[name], duration = motion.mover(vehicle, self._context)
             durations.append(duration)
+            if (clip := motion.continued(vehicle, self._context)) is not None:
+                after[name] = clip
         step, first = min(motion.step for motion, _ in simulated.values()), self._context.first
         meeting = ", ".join(simulated)
         clips = simulate_together(
-            movers, world, max(durations), step, self.fps, first,
+            movers, world, max(durations), step, self.fps, first, after=after or None,
             progress=lambda what, done: progress(f"{meeting}: {what}", done / len(self.file.vehicle)),
         )  # fmt: skip
         pilots = {name: mover.controls for name, mover in movers.items() if hasattr(mover.controls, "targets")}

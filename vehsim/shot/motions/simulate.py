@@ -16,9 +16,10 @@ from pydantic import BeforeValidator, Field
 
 from vehsim.errors import Problem
 from vehsim.shot.checks import Context, check_clear, check_free, check_inside, check_mark, check_names
+from vehsim.shot.motions.clip import check_clip, load_clip
 from vehsim.shot.motions.pilots import PilotTable
 from vehsim.shot.motions.state import as_state, is_planar, to_si
-from vehsim.shot.schema.tables import MAX_FRAMES, Array, Number, Positive, StartTable, Table
+from vehsim.shot.schema.tables import MAX_FRAMES, Array, Number, Positive, StartTable, Table, Text
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -52,6 +53,8 @@ class ForwardMotion(Table):
     """the state on the shot's first frame, including handles; default: at rest at the origin"""
     step: Annotated[Number, Field(ge=1e-5, le=0.1)] = 1 / 240
     """the integration step in s, 0.00001 to 0.1; default: 1/240"""
+    continues: Text | None = None
+    """a simulated motion (.npz), relative to the shot file, that is continued from its last frame; default: none"""
 
     def check(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         from vehsim.simulation import MAX_STEPS
@@ -60,6 +63,8 @@ class ForwardMotion(Table):
         if seconds * context.fps > MAX_FRAMES or seconds / self.step > MAX_STEPS:
             yield Problem("duration", f"more than {MAX_FRAMES} frames or {MAX_STEPS} steps", "shorten it", seconds)
         yield from self.check_controls(vehicle, context)
+        if self.continues is not None:
+            yield from self._check_continued(self.continues, vehicle, context)
         yield from check_names("start.joints", self.start.joints, vehicle.joints, "joint")
         yield from check_mark("start", self.start, vehicle)
         yield from check_inside("start.position", self.start.position, vehicle, context.world)
@@ -81,6 +86,7 @@ class ForwardMotion(Table):
             fps=context.fps,
             start_frame=context.first,
             everywhere=self.everywhere,
+            after=self.continued(vehicle, context),
             progress=progress,
         )
         details = {"step": self.step, "duration": clip.duration}
@@ -92,6 +98,26 @@ class ForwardMotion(Table):
 
         start = self._start(vehicle, context)
         return Mover(vehicle, self.controls(vehicle, context), start), self.seconds(context)
+
+    def continued(self, vehicle: Vehicle, context: Context) -> Clip | None:
+        """The motion that is continued, if any."""
+        return None if self.continues is None else load_clip(self.continues, vehicle, context)
+
+    def _check_continued(self, path: str, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
+        wrong = list(check_clip("continues", path, vehicle, context))
+        yield from wrong
+        if wrong:
+            return
+        clip = load_clip(path, vehicle, context)
+        if clip.ending is None:
+            remedy = 'give what --to npz wrote of a motion of method "simulate" or "sticks"'
+            yield Problem("continues", "was not simulated, so it cannot be continued", remedy, path)
+        elif clip.start_frame != context.first:
+            message = f"starts at frame {clip.start_frame}, this motion at {context.first}"
+            yield Problem("continues", message, "give the shot the start_frame and the handles of that motion", path)
+        elif clip.duration > self.seconds(context) + 1e-9:
+            message = f"reaches frame {clip.end_frame}, beyond the end of this motion"
+            yield Problem("continues", message, "give a later end_frame, or a longer duration", path)
 
     def _start(self, vehicle: Vehicle, context: Context) -> State | None:
         """The start; None where `vehsim.simulate` chooses it."""
