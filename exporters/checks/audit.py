@@ -486,13 +486,15 @@ def _collision(delivered: Delivered, root: Any) -> list[Any]:
 
 def _spread(points: Array, faces: Ints, spacing: float) -> Array:
     """The points of a mesh, and additional ones on triangles longer than ``spacing``."""
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    longest = np.sqrt(np.max([np.sum(side**2, axis=1) for side in (b - a, c - a, c - b)], axis=0))
+    parts = np.ceil(longest / spacing).astype(int)
     more = [points]
-    for a, b, c in points[faces]:
-        n = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / spacing))
-        if n > 1:
-            i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-            inside = i + j <= n
-            more.append(a + np.outer(i[inside] / n, b - a) + np.outer(j[inside] / n, c - a))
+    for n in np.unique(parts[parts > 1]).tolist():
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+        inside, some = i + j <= n, parts == n
+        right, up = i[inside, None, None] / n * (b - a)[some], j[inside, None, None] / n * (c - a)[some]
+        more.append((a[some] + right + up).reshape(-1, 3))
     return np.unique(np.vstack(more), axis=0)
 
 

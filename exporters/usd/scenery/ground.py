@@ -5,6 +5,7 @@ Shipped terrains have their own look; this is for a studio's height maps and mes
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.exporters.usd.metadata import author_points, author_stage_metadata
+from vehsim.exporters.usd.scenery import lighting
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.textured import author_textured
+from vehsim.runtime.cache import kept, shrink
+from vehsim.runtime.code import code
 
 if TYPE_CHECKING:
     from vehsim.world.terrain.terrain import Terrain
 
 Array = NDArray[np.float64]
 
+PICTURE, MOST_KEPT = "ground", 200_000_000
+"""Cache entries of pictures, and the most bytes that they take together."""
 TEXTURE = 2048
 TEXELS_PER_CELL = 12
 TILE = 48.0
@@ -38,7 +44,7 @@ def write_ground(terrain: Terrain, folder: Path) -> tuple[Path, list[Path]]:
     texture = asset.with_suffix(".png")
     asset.parent.mkdir(parents=True, exist_ok=True)
     level = terrain.surface is None and float(np.ptp(terrain.heights)) < 1e-6
-    _write_texture(texture, _level_colours() if level else _relief_colours(terrain))
+    texture.write_bytes(_picture(None if level else terrain))
 
     stage = Usd.Stage.CreateNew(str(asset))
     author_stage_metadata(stage.GetRootLayer())
@@ -96,6 +102,14 @@ def _normals(terrain: Terrain) -> Array:
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
+def _picture(terrain: Terrain | None) -> bytes:
+    """The PNG of a terrain's colours, None: of level ground. It is cached: it takes several seconds."""
+    key = (code((Path(__file__), Path(lighting.__file__))), None if terrain is None else terrain.content_hash)
+    picture = kept(PICTURE, key, lambda: _png(_level_colours() if terrain is None else _relief_colours(terrain)))
+    shrink(PICTURE, MOST_KEPT)
+    return picture
+
+
 def _relief_colours(terrain: Terrain) -> Array:
     """Linear colours (h, w, 3), row 0 at the far end (+Y), by slope, height and noise."""
     from scipy.ndimage import zoom
@@ -142,7 +156,9 @@ def _noise(
     return noise / np.abs(noise).max()
 
 
-def _write_texture(path: Path, linear: Array) -> None:
+def _png(linear: Array) -> bytes:
     from PIL import Image
 
-    Image.fromarray(encode_srgb(linear)).save(path)
+    png = io.BytesIO()
+    Image.fromarray(encode_srgb(linear)).save(png, "png")
+    return png.getvalue()
