@@ -185,7 +185,7 @@ def retouch(
     with logged(delivery.name, str(delivery)) if log is Log.json else _progress(quiet) as progress:
         edited = edited_shot(delivery, edit, shot, progress)
         _arguments.check_delivery(names, out, edited)
-        take = edited.solve(progress)
+        take = edited.solve(progress, checked=True)
         folder = take.export(out, names, progress)
     if not silent:
         for line in summary(take):

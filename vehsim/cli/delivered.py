@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.delivery.reports import reading_report
-from vehsim.errors import InputError
+from vehsim.errors import InputError, ShotError
 
 if TYPE_CHECKING:
     from vehsim.delivery.take import Take
@@ -25,7 +25,7 @@ ANOTHER = 2e-3
 
 
 def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progress) -> Shot:
-    """The shot of a delivery, with the edit of every vehicle whose curves ``edit`` contains.
+    """The checked shot of a delivery, with the edit of every vehicle whose curves ``edit`` contains.
 
     ``source``: its shot file; by default the copy in ``report.json``, whose paths are relative to the working folder.
     Raises ``InputError`` if nothing was edited, or if the shot now has another motion than the delivery.
@@ -42,13 +42,16 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     if not edit.is_file():
         raise InputError("no such file", "give the stage with the edited curves", key="--edit", value=str(edit))
     found = prims_in(edit, {vehicle: f"/{name}/vehicles/{vehicle}" for vehicle in vehicles})
-    clips = before.solve(progress).clips
+    for vehicle, prim in found.items():
+        vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
+    edited = Shot.from_dict(data, folder, before.source)
+    if errors := [problem for problem in edited.check() if problem.severity == "error"]:
+        raise ShotError(errors)
+    clips = edited.unedited().motion(progress)
     for vehicle in found:
         _check_same(delivery, name, vehicle, clips[vehicle])
     _warn_of_others(delivery, name, edit, found)
-    for vehicle, prim in found.items():
-        vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
-    return Shot.from_dict(data, folder, before.source)
+    return edited
 
 
 def prims_in(edit: Path, wanted: dict[str, str]) -> dict[str, str]:

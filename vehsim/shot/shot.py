@@ -232,6 +232,12 @@ class Shot:
             | ({"left_out": list(self.left_out)} if self.left_out else {}),
         )
 
+    def motion(self, progress: Progress | None = None) -> dict[str, Clip]:
+        """The motion of every vehicle of a checked shot, from its own first to its own last frame, solved or from the
+        cache: what `solve` delivers, without cameras and audit. Raises ``SolveError``."""
+        (clips, _), _ = self._motion(progress or silent, cached=True)
+        return {name: self._placed(name, clip) for name, clip in clips.items()}
+
     def preview(self) -> Take | None:
         """The take of a shot that is not solved: each vehicle goes straight from mark to mark; None if none has
         marks."""
