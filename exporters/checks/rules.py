@@ -17,6 +17,12 @@ from vehsim.intake.usd import DRAWN, key_times
 
 Array = NDArray[np.float64]
 
+MOST_FRAMES = 20_000
+"""Number of frames at most on which a spline is read."""
+ROLLS, SWINGS, WITHIN = 90.0, 1.0, 32
+"""Degrees between two keys of a spline from which a part rolls, degrees by which it may turn back between them, and
+the number of places at which it is read there."""
+
 
 @dataclass(frozen=True)
 class Issue:
@@ -99,23 +105,26 @@ def _quaternion_signs(stage: Any) -> Iterator[Issue]:
 
 
 def _backward_spins(stage: Any) -> Iterator[Issue]:
-    """No wheel or rotor turns backwards between samples: angles are unwrapped, and no spin is left to slerp."""
+    """No wheel or rotor turns backwards: angles are unwrapped, no spin is left to slerp, and no spline swings back
+    between keys that go on."""
     for attribute in _animated(stage):
         name, times = attribute.GetName(), key_times(attribute)
         if len(times) < 3:
             continue
+        site = str(attribute.GetPath())
         if name.startswith(("xformOp:rotateX", "xformOp:rotateY", "xformOp:rotateZ")) and len(name.split(":")[1]) == 7:
-            values = np.array([float(attribute.Get(time)) for time in times])
-            steps = np.diff(values)
-            signs = np.sign(steps * np.median(steps))
-            # a wrapped angle jumps back between forward steps; a reversed propeller continues to turn back
-            alone = np.concatenate([[1], signs[:-1]]) + np.concatenate([signs[1:], [1]]) > 0
-            jumps = np.flatnonzero((np.abs(steps) > 180) & (signs < 0) & alone)
-            back = np.union1d(jumps, _wrapped_steps(times, values))
-            if len(back):
-                message = f"turns back by {abs(steps[back[0]]):.4g} degrees after time code {times[back[0]]:g}"
-                remedy = "unwrap its angles: let them continue beyond 360"
-                yield Issue("error", "spin", str(attribute.GetPath()), message, remedy)
+            read = times
+            if not attribute.GetTimeSamples():  # a spline: between its knots, a wheel may stop and roll back
+                frames = np.arange(np.ceil(times[0]), min(times[-1], times[0] + MOST_FRAMES) + 1)
+                read = np.union1d(times, frames[frames <= times[-1]]).tolist()
+                if swing := _swing(attribute, times):
+                    remedy = "shorten its tangents there, or give them the slope of its motion"
+                    message = "turns back by {:.4g} degrees between its keys at time codes {:g} and {:g}".format(*swing)
+                    yield Issue("warning", "spin", site, message, remedy)
+            if back := [*_jumps(read, _angles(attribute, read)), *_wrapped_steps(times, _angles(attribute, times))]:
+                after, step = min(back)
+                message = f"turns back by {step:.4g} degrees after time code {after:g}"
+                yield Issue("error", "spin", site, message, "unwrap its angles: let them continue beyond 360")
         elif str(attribute.GetTypeName()).startswith("quat"):
             q = np.array([_numbers(attribute.Get(time)) for time in times])
             q /= np.linalg.norm(q, axis=1, keepdims=True)
@@ -123,21 +132,50 @@ def _backward_spins(stage: Any) -> Iterator[Issue]:
             if (fast := np.flatnonzero(turns > 150)).size > 1:
                 message = f"turns {turns[fast[0]]:.0f} degrees from time code {times[fast[0]]:g} to the next"
                 remedy = "spin by a scalar rotate op with running degrees: slerp goes the short way round"
-                yield Issue("warning", "spin", str(attribute.GetPath()), message, remedy)
+                yield Issue("warning", "spin", site, message, remedy)
 
 
-def _wrapped_steps(times: Sequence[float], values: Array) -> NDArray[np.intp]:
-    """The steps (k,) between angles (n,), degrees, that turn back only because the angles stay within one turn: with
-    whole turns added to them, the rate changes less than half as much. ``times`` (n,); not equally spaced: none."""
-    steps, none = np.diff(values), np.zeros(0, np.intp)
+def _angles(attribute: Any, times: Sequence[float]) -> Array:
+    return np.array([float(attribute.Get(time)) for time in times])
+
+
+def _jumps(times: Sequence[float], values: Array) -> list[tuple[float, float]]:
+    """Where angles (n,), degrees, jump back between forward steps, and by how much: they were wrapped. A reversed
+    propeller continues to turn back."""
+    steps = np.diff(values)
+    signs = np.sign(steps * np.median(steps))
+    alone = np.concatenate([[1], signs[:-1]]) + np.concatenate([signs[1:], [1]]) > 0
+    return [(times[k], abs(steps[k])) for k in np.flatnonzero((np.abs(steps) > 180) & (signs < 0) & alone).tolist()]
+
+
+def _swing(attribute: Any, times: Sequence[float]) -> tuple[float, float, float] | None:
+    """By how many degrees a spline turns back between two of its knots at ``times``, and these; None if it does not.
+
+    Only knots count that turn on by `ROLLS` at least, and go on before and after: slower parts may swing back there.
+    """
+    steps = np.diff(_angles(attribute, times))
+    for k in range(1, len(steps) - 1):
+        if abs(steps[k]) < ROLLS or not (np.sign(steps[k - 1 : k + 2]) == np.sign(steps[k])).all():
+            continue
+        inside = np.linspace(times[k], times[k + 1], WITHIN + 1)[:-1]  # a knot may end one value and begin another
+        turned = np.sign(steps[k]) * _angles(attribute, inside.tolist())
+        if (back := float((np.maximum.accumulate(turned) - turned).max())) > SWINGS:
+            return back, times[k], times[k + 1]
+    return None
+
+
+def _wrapped_steps(times: Sequence[float], values: Array) -> list[tuple[float, float]]:
+    """Where angles (n,), degrees, turn back only because they stay within one turn, and by how much: with whole turns
+    added to them, the rate changes less than half as much. ``times`` (n,); not equally spaced: none."""
+    steps = np.diff(values)
     if np.ptp(values) > 360 or np.ptp(np.diff(times)) > 1e-6:
-        return none
+        return []
     full = steps.copy()
     for k in range(1, len(full)):
         full[k] += 360 * np.round((full[k - 1] - full[k]) / 360)
     wrapped = np.flatnonzero(np.abs(full - steps) > 180)
     smoother = 2 * np.abs(np.diff(full)).sum() < np.abs(np.diff(steps)).sum()
-    return wrapped if smoother and len(wrapped) > 1 else none
+    return [(times[k], abs(steps[k])) for k in wrapped.tolist()] if smoother and len(wrapped) > 1 else []
 
 
 def _invertible(stage: Any) -> Iterator[Issue]:

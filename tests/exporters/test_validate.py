@@ -174,6 +174,81 @@ def test_the_rules_apply_to_splines(tmp_path, rotate, stop, rules):
     assert found & {"time", "range", "finite", "sign", "spin"} == rules
 
 
+def bezier(points: list[tuple[float, float]], slope: float, width: float = 1 / 3):
+    """A spline through (time, value) whose tangents have one slope, and a width in shares of their segment."""
+    from pxr import Ts
+
+    spline = Ts.Spline("double")
+    for k, (time, value) in enumerate(points):
+        knot = Ts.Knot("double", time=time, value=value, nextInterp=Ts.InterpCurve)
+        for side, other in (("Pre", k - 1), ("Post", k + 1)):
+            if 0 <= other < len(points):
+                getattr(knot, f"Set{side}TanWidth")(width * abs(points[other][0] - time))
+                getattr(knot, f"Set{side}TanSlope")(slope)
+        spline.SetKnot(knot)
+    return spline
+
+
+STEADY = [(1.0 + 10 * k, 300.0 * k) for k in range(5)]
+PARKING = [(1, 0), (21, 500), (41, 200), (61, 700)]
+
+
+@pytest.mark.parametrize(
+    ("points", "slope", "message"),
+    [
+        (STEADY, 30.0, ""),
+        (STEADY, 150.0, "between its keys at time codes 11 and 21"),  # the tangents are five times too steep
+        (STEADY, -30.0, "between its keys at time codes 11 and 21"),
+        (PARKING, 0.0, ""),  # a wheel that rolls forwards, back and forwards again
+        ([(1 + 10 * k, (300 * k) % 360) for k in range(9)], 30.0, "degrees after time code"),
+        ([(1.0 + 10 * k, 8.0 * k) for k in range(5)], 8.0, ""),  # steering that swings
+    ],
+)
+def test_splines_may_not_turn_wheels_back_between_their_keys(tmp_path, points, slope, message):
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "spline.usda"))
+    UsdGeom.Xform.Define(stage, "/wheel").AddRotateYOp(UsdGeom.XformOp.PrecisionDouble).GetAttr().SetSpline(
+        bezier(points, slope)
+    )
+    stage.Save()
+    found = [str(issue) for issue in validate_stage(tmp_path / "spline.usda") if issue.rule == "spin"]
+    assert len(found) == bool(message) and message in "".join(found)
+
+
+def test_splines_need_a_time_range_and_keep_to_it_in_a_layer_of_another_rate(tmp_path):
+    """Keys 1 to 48 at 24 time codes per second are 1.04 to 50 in a stage with 25, whose range ends at 48."""
+    from pxr import Sdf, Usd, UsdGeom
+
+    layer = Usd.Stage.CreateNew(str(tmp_path / "anim.usda"))
+    layer.SetTimeCodesPerSecond(24)
+    steady = bezier([(1, 0), (24, 1), (48, 2)], 1 / 24)
+    UsdGeom.Xform.Define(layer, "/box").AddTranslateXOp().GetAttr().SetSpline(steady)
+    layer.Save()
+    unstated = {str(issue) for issue in validate_stage(tmp_path / "anim.usda") if issue.rule == "time"}
+    assert len(unstated) == 3 and any("startTimeCode is not authored" in text for text in unstated)
+
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.subLayerPaths.append("./anim.usda")
+    shot.timeCodesPerSecond = shot.framesPerSecond = 25
+    shot.startTimeCode, shot.endTimeCode = 1, 48
+    shot.Save()
+    (issue,) = [issue for issue in validate_stage(tmp_path / "shot.usda") if issue.rule in ("range", "time")]
+    assert issue.rule == "range" and issue.site == "/box.xformOp:translateX"
+    assert issue.message.startswith("keys 1.04167..50 of anim.usda leave the stage's 1..48: USD scales the layer's 24")
+
+
+@pytest.mark.parametrize("kind", ["quatf xformOp:orient", "double3 xformOp:translate"])
+def test_splines_of_quaternions_and_vectors_are_refused(tmp_path, kind):
+    """USD has splines of numbers only, so that the rule of signs needs none."""
+    text = '#usda 1.0\ndef Xform "box" {{\n    {}.spline = {{\n        1: 0; post linear,\n        5: 1,\n    }}\n}}\n'
+    (tmp_path / "spline.usda").write_text(text.format(kind))
+    (issue,) = validate_stage(tmp_path / "spline.usda")
+    assert issue.rule == "open"
+    (tmp_path / "spline.usda").write_text(text.format("double xformOp:rotateX"))
+    assert "open" not in {issue.rule for issue in validate_stage(tmp_path / "spline.usda")}
+
+
 @pytest.mark.parametrize(
     ("key", "theirs", "message"),
     [
