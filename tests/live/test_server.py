@@ -393,6 +393,25 @@ def test_what_cannot_be_met_says_why_and_can_be_undone(path):
     asyncio.run(play())
 
 
+def test_motion_from_the_cache_needs_no_straight_guesses(path, monkeypatch):
+    """Not on a slow machine either, where it takes longer than a solve may before guesses are drawn."""
+    monkeypatch.setenv("VEHSIM_CACHE", str(path.parent / "cache"))
+    monkeypatch.setenv("VEHSIM_CACHE_GB", "1")
+    solve, drawn = Shot.solve, []
+
+    def slow(shot, *given):
+        time.sleep(1.2 * live_session.WAIT)
+        return solve(shot, *given)
+
+    monkeypatch.setattr(Shot, "solve", slow)
+    for expected in (1, 0):
+        session = Session(path, path.parent / "out", lambda what, done: None, drawn.append)
+        session.solve()
+        session.close()
+        assert len([block for block in drawn if Block(block).header["kind"] == "scene"]) == expected
+        drawn.clear()
+
+
 def test_each_iterate_is_drawn(path, monkeypatch):
     """The first solve moves the vehicle along its iterates; later ones draw their paths beside the present motion."""
     monkeypatch.setattr(live_session, "WAIT", 0.0)

@@ -593,7 +593,8 @@ class Session:
     def _progress(self, what: str, done: float) -> None:
         if self.superseded.is_set():
             raise Superseded
-        if self._on_screen is None and monotonic() > self._drawing and (scene := self._preview()) is not None:
+        waits = self._on_screen is None and monotonic() > self._drawing and done < 1.0  # 1: it comes from the cache
+        if waits and (scene := self._preview()) is not None:
             self._show(scene)
         self._tell(what, done)
 

@@ -152,7 +152,8 @@ def _solve_active(run: Run, iterate: Iterate, start: Start) -> Iterate:
     began = time.monotonic()
     solver = _solver(run, iterate)
     clearance = iterate.block(Clearance)
-    text = f"planning {iterate.layout.segments} segments at order {iterate.layout.order}"
+    text = f"planning {iterate.request.traits.name} motion"
+    text += f", {iterate.layout.segments} segments at order {iterate.layout.order}"
     if iterate.tightenings and clearance is not None:
         text += f", margin {clearance.required:.2f} m"
     solver.watch = run.watcher(text, iterate)
