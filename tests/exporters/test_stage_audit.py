@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 import trimesh
 
 from vehsim.audit import missed
-from vehsim.errors import InputError
+from vehsim.errors import InputError, SolveError
 from vehsim.exporters.checks.audit import audit_delivery, changed_files
 from vehsim.shot import Shot
 
@@ -204,6 +205,27 @@ def test_a_car_in_the_wall_of_a_tunnel_is_reported(tmp_path: Path, aside: float,
     side = max(float(hull[:, 1].max()) for hull in hulls_of(load_vehicle("car")))
     assert row.met is not within
     assert row.value == (pytest.approx(3 - aside - side, abs=0.01) if within else np.inf)
+
+
+def test_a_car_that_is_driven_into_a_wall_is_refused_by_the_wall(tmp_path: Path) -> None:
+    """Its wheels are in the rock, where it has no ground. A car that only scrapes along it is warned about."""
+    rock = [((-30, -25, -5), (30, 25, 0)), ((-10, -15, -1), (10, -3, 8)), ((-10, -4, 6), (10, 5, 8))]
+    trimesh.boolean.union([trimesh.creation.box(bounds=b) for b in rock]).export(tmp_path / "cliff.obj")
+
+    def driven(y: float, heading: float) -> Shot:
+        start = {"position": [-5, y, 0], "heading": heading, "velocity": [5 * (heading == 0), -5 * (heading != 0), 0]}
+        data = CAR | {"vehicle": [{"name": "heli", "asset": "car", "motion": {"method": "simulate", "duration": 1}}]}
+        data["vehicle"][0]["motion"]["start"] = start
+        world = {"terrain": str(tmp_path / "cliff.obj")}
+        return Shot.from_dict(data | {"shot": {"schema": 1, "name": "over"}, "world": world})
+
+    with pytest.raises(SolveError, match=r"heli: world.terrain = .*cliff.obj.*rock of the terrain at .*, -3.* plan"):
+        driven(0, -90).solve()
+    with pytest.warns(UserWarning, match=r"heli: reaches into the rock of the terrain at .* keep away"):
+        driven(-2.2, 0).solve()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        driven(0, 0).solve()
 
 
 def test_wheels_on_a_rigid_body_cannot_all_touch_rough_ground(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from vehsim.planning.constraints.features import element as row_of
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.guesses import astar
 from vehsim.planning.guesses.astar import guess_drive, turning_radius
-from vehsim.planning.outlines import clearances, inner_discs, simplified
+from vehsim.planning.outlines import clearances, inner_discs, least_clearance, simplified
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import transcribe
@@ -396,6 +396,15 @@ def test_far_parts_cost_nothing_and_are_bounded_from_below(car):
     exact, bounded = (clearances(parts, outlines, np.zeros(30), reach) for reach in (np.inf, 2.0))
     assert np.all(bounded <= exact + 1e-9)
     np.testing.assert_allclose(bounded[exact < 1.9], exact[exact < 1.9])
+
+
+def test_the_least_clearance_is_that_of_all_distances(car):
+    """Near and far, also inside obstacles, and the same for equal obstacles."""
+    parts, rng = parts_in_reach(car, yard(0), across()), np.random.default_rng(0)
+    for x in (0.0, 12.0, 25.0, 500.0):
+        outlines = placed(ob.footprint(car), x + rng.uniform(-4, 4, (40, 2)), rng.uniform(-3, 3, 40))
+        for chosen in (parts, parts[:1] * 3):
+            assert least_clearance(chosen, outlines, np.zeros(40)) == clearances(chosen, outlines, np.zeros(40)).min()
 
 
 def test_turning_circles_follow_from_the_constraints(car):

@@ -142,6 +142,14 @@ def test_a_base_gives_what_a_file_does_not(tmp_path):
     assert np.allclose(np.diag(vehsim.load_vehicle(tmp_path / "two").inertia), [4, 4, 4, 3, 3, 3])
     with pytest.raises(InputError, match="base"):
         vehsim.load_vehicle(tmp_path / "three")
+    write("as_one", 'base = "../one"\nphysics.mass = 5.0\n')
+    assert np.allclose(np.diag(vehsim.load_vehicle(tmp_path / "as_one").inertia), [4, 4, 4, 5, 5, 5])
+    write("bare", "")
+    with pytest.raises(InputError, match=r'bare.vehicle\.toml: model: missing; .* base = "../car"'):
+        vehsim.load_vehicle(tmp_path / "bare")
+    write("of_bare", 'base = "../bare"\n')
+    with pytest.raises(InputError, match=r"model: missing, also in the base; .*bare/vehicle.toml"):
+        vehsim.load_vehicle(tmp_path / "of_bare")
     write("four", 'base = "../none"\nmodel = "rigid_body"\n')
     with pytest.raises(InputError, match="none"):
         vehsim.load_vehicle(tmp_path / "four")

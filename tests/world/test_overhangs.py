@@ -12,9 +12,10 @@ from elementary import ExactDistance
 from scipy.spatial.transform import Rotation
 
 from vehsim.exporters.checks.audit import _Ground
+from vehsim.vehicles import load_vehicle
 from vehsim.world import obstacles
 from vehsim.world.distance.field import distance_field
-from vehsim.world.ground.rock import rock_met
+from vehsim.world.ground.rock import rock_met, rock_under_wheels
 from vehsim.world.terrain.surface import open_edges
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
@@ -148,10 +149,22 @@ def test_the_surface_is_part_of_the_content(terrains):
     assert len({arch.content_hash, moved.content_hash, replace(arch, surface=None).content_hash}) == 3
 
 
+def test_an_overhang_above_large_triangles_is_not_filled(tmp_path):
+    """The ground is a box whose top has few triangles, and none of their middles is below the shelf."""
+    ground, shelf = ((-30, -25, -5), (30, 25, 0)), ((-10, -4, 6), (10, 5, 8))
+    cliff = ((-10, -15, -1), (10, -3, 8))
+    parts = [trimesh.creation.box(bounds=bounds) for bounds in (ground, cliff, shelf)]
+    trimesh.boolean.union(parts).export(tmp_path / "cliff.obj")
+    terrain = Terrain.load(tmp_path / "cliff.obj")
+    points = np.random.default_rng(5).uniform((-9, -2, 0.1), (9, 4, 5.9), (500, 3))
+    assert not terrain.below(points).any()
+    np.testing.assert_allclose(terrain.height(points[:, :2]), 0, atol=1e-9)  # the lowest ground
+
+
 def test_an_arch_in_utm_coordinates_is_as_exact(terrains, meshes, vehicle, poses, tmp_path):
     away = np.array([500_000.0, 4_600_000.0, 0.0])
     meshes["arch"].copy().apply_translation(away).export(tmp_path / "far.obj")
-    terrain, points = Terrain.load(tmp_path / "far.obj"), around(500)
+    terrain, points = Terrain.load(tmp_path / "far.obj"), around(20_000)
     np.testing.assert_array_equal(terrain.below(points + away), rock("arch", points))
     near = World(terrains["arch"]).clearance(vehicle, poses[0][:40], poses[1][:40])
     far = World(terrain).clearance(vehicle, poses[0][:40] + away, poses[1][:40])
@@ -162,7 +175,7 @@ def test_an_arch_in_utm_coordinates_is_as_exact(terrains, meshes, vehicle, poses
 
 
 def test_a_vehicle_that_drives_into_a_wall_or_roof_is_found(terrains, vehicle):
-    def clip(x):
+    def clip(x, vehicle=vehicle):
         positions = np.column_stack([x, np.zeros_like(x), np.zeros_like(x)])
         upright = np.tile([1.0, 0, 0, 0], (len(x), 1))
         return SimpleNamespace(
@@ -174,6 +187,10 @@ def test_a_vehicle_that_drives_into_a_wall_or_roof_is_found(terrains, vehicle):
     frame, place = rock_met(clip(np.array([-5.0, -6.0, -9.0])), world)
     assert frame == 1003 and place[0] < -12
     assert rock_met(clip(np.array([-9.0])), World()) is None
+    driven = load_vehicle("car")
+    sunk = [rock_under_wheels(clip(np.array([x]), driven), world) for x in (-9.0, -10.5, -16.0)]
+    assert sunk == [False, False, True]  # its front wheels are 1.3 m from its middle, its bumper 2 m
+    assert not rock_under_wheels(clip(np.array([-16.0]), driven), World())
 
 
 # ---------------------------------------------------------------- distances

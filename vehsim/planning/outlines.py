@@ -26,6 +26,18 @@ def clearances(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array
     return np.reshape(found, (len(parts), len(outlines)))
 
 
+def least_clearance(parts: Sequence[tuple[Any, int]], outlines: Array, seconds: Array) -> float:
+    """Smallest signed distance, m, of outlines (n, k, 2) at ``seconds`` (n,) since frame 0 to any of the parts."""
+    shapes = [obstacle.shapes_at(seconds)[number] for obstacle, number in parts]
+    bounds = [bounds_to(shape, outlines).min() for shape in shapes]
+    least = np.inf
+    for i in np.argsort(bounds):
+        if bounds[i] >= least:
+            break
+        least = min(least, float(gaps_to(shapes[i], outlines, least).min()))
+    return least
+
+
 def gaps_to(shape: Any, outlines: Array, reach: float = np.inf) -> Array:
     """Signed distances (n,) m of outlines (n, k, 2) to one shape, or to one shape each (n, m, 2).
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vehsim.errors import Caution, InputError, Problem, ShotError, VehsimError
+from vehsim.errors import Caution, InputError, Problem, ShotError, SolveError, VehsimError
 from vehsim.intake.timelines import read_cuts
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints, dependencies
@@ -206,7 +206,7 @@ class Shot:
             vehicles[name]["frames"] = [clip.start_frame, clip.end_frame]
         clips = {name: self._placed(name, clip) for name, clip in clips.items()}
         self._warn_off_ground(clips)
-        self._warn_of_rock(clips)
+        self._check_rock(clips)
         self._warn_of_late_notes(frames[1])
         clips = {name: self._placed(name, hold(clip, *frames)) for name, clip in clips.items()}
         avoided = self._avoided
@@ -566,19 +566,23 @@ class Shot:
                     stacklevel=3,
                 )
 
-    def _warn_of_rock(self, clips: Mapping[str, Clip]) -> None:
-        """Warn of a vehicle on the ground that reaches into the rock above or beside it, which only plans avoid."""
-        from vehsim.world.ground.rock import rock_met
+    def _check_rock(self, clips: Mapping[str, Clip]) -> None:
+        """Warn of a vehicle on the ground that reaches into the rock above or beside it, which only plans avoid. Raises
+        ``SolveError`` if its wheels are in the rock."""
+        from vehsim.world.ground.rock import rock_met, rock_under_wheels
 
         for name, clip in clips.items():
             found = rock_met(clip, self.world) if clip.vehicle.group.planar else None
-            if found is not None:
-                frame, (x, y, z) = found
-                warnings.warn(
-                    f"{name}: reaches into the rock at ({x:.2f}, {y:.2f}, {z:.2f}) m at frame {frame:g}: only plans "
-                    "keep vehicles on the ground away from walls and roofs; keep away, or plan its motion",
-                    stacklevel=3,
-                )
+            if found is None:
+                continue
+            frame, (x, y, z) = found
+            place = f"at ({x:.2f}, {y:.2f}, {z:.2f}) m at frame {frame:g}"
+            remedy = "only plans keep vehicles on the ground away from walls and roofs: keep away, or plan its motion"
+            if rock_under_wheels(clip, self.world):
+                message = f"drives into the rock of the terrain {place}, where its wheels have no ground"
+                terrain = self.file.world.terrain
+                raise SolveError(message, remedy, key="world.terrain", value=terrain, subject=name)
+            warnings.warn(f"{name}: reaches into the rock of the terrain {place}; {remedy}", stacklevel=3)
 
     def _frames(self, clips: Mapping[str, Clip]) -> tuple[int, int]:
         """First and last frame of the take; warns if a vehicle is cut off in motion."""

@@ -113,16 +113,15 @@ def clearance(steering: Steering, rig: Rigged, world: World | None, seconds: flo
     obstacles = () if world is None else world.standing if seconds is None else world.obstacles
     if not obstacles or not rig.outlines:
         return np.inf
-    from vehsim.planning.outlines import clearances
+    from vehsim.planning.outlines import least_clearance
     from vehsim.world.obstacles.plane import placed
 
     parts = [(o, k) for o in obstacles for k in range(len(getattr(o, "parts", [None])))]
     poses = bodies(steering)
-    gaps = [
-        clearances(parts, placed(outline, poses[:, k, :2], poses[:, k, 2]), (seconds or 0.0) + steering.times)
+    return min(
+        least_clearance(parts, placed(outline, poses[:, k, :2], poses[:, k, 2]), (seconds or 0.0) + steering.times)
         for k, outline in enumerate(rig.outlines)
-    ]
-    return float(np.min(gaps))
+    )
 
 
 def joined(steerings: Sequence[Steering], holds: Sequence[float] = ()) -> Steering:

@@ -158,8 +158,8 @@ class VehicleFile(Table):
     """a name"""
     base: Text | None = None
     """the folder of another vehicle, relative to this file: it gives every key that this file does not"""
-    model: Text
-    """the name of a model"""
+    model: Text | None = None
+    """the name of a model, which a base may give"""
     asset: Text | None = None
     """a USD, GLB or OBJ file, relative to this one"""
     root: str = ""
@@ -206,6 +206,9 @@ def read_vehicle(path: Path) -> dict[str, Any]:
     """The data of a ``vehicle.toml``, with what its base gives. Raises ``ShotError`` with everything that is wrong."""
     data = read_table(path, VehicleFile)
     if (base := _base(path, data)) is None:
+        if "model" not in data:
+            remedy = 'name a model, such as model = "car", or the folder of a vehicle that has one, base = "../car"'
+            raise InputError("missing", remedy, key="model", file=path)
         return data
     below = read_table(base, VehicleFile)
     if "base" in below:
@@ -214,7 +217,11 @@ def read_vehicle(path: Path) -> dict[str, Any]:
     for key in ("asset", "hydrodynamics"):
         if key in below:
             below[key] = (Path(data["base"]) / below[key]).as_posix()
-    return merged(below, data)
+    found = merged(below, data)
+    if "model" not in found:
+        remedy = f'add one, such as model = "car", to this file or to {base}'
+        raise InputError("missing, also in the base", remedy, key="model", file=path)
+    return found
 
 
 def vehicle_files(path: Path) -> list[Path]:

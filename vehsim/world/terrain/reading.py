@@ -304,10 +304,10 @@ def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Plac
     origin = (float(low[0]), float(low[1]))
     top = HeightGrid(path.name, _filled(path, heights.reshape(rows, cols)), origin, cell)
     surface = surface_of(points, faces)
-    if not _has_overhangs(top, surface):
+    floor = surface.floor(rays[:, :2]).reshape(rows, cols)
+    floor = np.where(np.isnan(floor), top.heights, floor)
+    if not _has_overhangs(top, floor, surface):
         return top
-    floor = surface.floor(rays[:, :2])
-    floor = np.where(np.isnan(floor), top.heights.ravel(), floor).reshape(rows, cols)
     return replace(top, heights=floor, surface=surface)
 
 
@@ -328,15 +328,19 @@ def _filled(path: Path, heights: Array) -> Array:
     return heights
 
 
-def _has_overhangs(top: HeightGrid, surface: TerrainSurface) -> bool:
-    """Whether ground is hidden below other rock, so that the heights seen from above, ``top``, lose it."""
+def _has_overhangs(top: HeightGrid, floor: Array, surface: TerrainSurface) -> bool:
+    """Whether ground is hidden below other rock, so that the heights seen from above, ``top``, lose it: at the grid's
+    points, where the lowest ground is at ``floor`` (rows, cols) m, or in the middle of a face, which may be small."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     # On steep slopes a sampled height may differ by the relief of the adjacent cells; that is no overhang.
     relief = replace(top, heights=maximum_filter(top.heights, 3) - minimum_filter(top.heights, 3))
+    slack = 1e-3 * max(top.cell)
+    if (top.heights - floor > relief.heights + slack).any():
+        return True
     centre = surface.points[surface.ground].mean(axis=1)
     depth = top.height(centre[:, :2]) - centre[:, 2]
-    return bool((depth > relief.height(centre[:, :2]) + 1e-3 * max(top.cell)).any())
+    return bool((depth > relief.height(centre[:, :2]) + slack).any())
 
 
 MAP = ("cell", "origin", "crop", "resample", "nodata")

@@ -60,15 +60,21 @@ class TerrainSurface:
         """Whether points (n, 3) m lie in the rock, (n,)."""
         if not len(points):
             return np.zeros(0, bool)
-        return np.asarray(self._turns.winding_number(np.ascontiguousarray(points))) > 0.5
+        return np.asarray(self._turns.winding_number(np.ascontiguousarray(points - self._middle))) > 0.5
 
     @cached_property
     def _turns(self) -> Any:
         import igl
 
-        turns = igl.FastWindingNumberBVH()
-        turns.init(*self.closed)
+        turns, (points, faces) = igl.FastWindingNumberBVH(), self.closed
+        turns.init(points - self._middle, faces)
         return turns
+
+    @cached_property
+    def _middle(self) -> Array:
+        """Winding numbers are computed about this place (3,) m, because libigl computes them in single precision: half
+        a metre at 4,600 km."""
+        return np.asarray((self.points.min(axis=0) + self.points.max(axis=0)) / 2)
 
     @cached_property
     def ground(self) -> Faces:
