@@ -21,7 +21,7 @@ from vehsim.planning.certificates import Executed
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import cover_for
 from vehsim.planning.guesses.routes import find_paths
-from vehsim.planning.iterate import Run
+from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.elements import Element
 from vehsim.planning.problem.solver import Solution
 from vehsim.planning.problem.transcription import Array, Transcription
@@ -105,19 +105,15 @@ class Unused(Block):
         lower[unused] = upper[unused] = trajectory.x[unused]
 
 
-def solve(
+def begin(
     transcription: Transcription,
     marks: Sequence[Mark],
     segments: int,
     order: int = 2,
     world: World | None = None,
     **options: Any,
-) -> Collocated:
-    """One solve on ``segments`` from DMOC's initial guess, without coarser or finer levels.
-
-    ``transcription``: a `Collocation`, or `transcribe(vehicle)` for DMOC of this ``order``; two marks at given frames;
-    ``options``: of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.
-    """
+) -> tuple[Run, Iterate]:
+    """DMOC's initial guess on ``segments``, with the arguments of `solve`."""
     t = transcription
     request = make_request(
         t.vehicle, world, marks, **({"fps": 24, "character": "stunt"} | options), segments=segments, refine=False
@@ -127,7 +123,18 @@ def solve(
     paths = find_paths(request, None, quiet)
     guess = planning.begin(run, request, t, cover_for(request, paths, quiet), paths, coarse=False)
     blocks = (*guess.blocks, Unused()) if isinstance(t, Collocation) else guess.blocks
-    solved = planning.solve(run, replace(guess, layout=replace(guess.layout, order=order), blocks=blocks))
+    return run, replace(guess, layout=replace(guess.layout, order=order), blocks=blocks)
+
+
+def solve(
+    transcription: Transcription, marks: Sequence[Mark], segments: int, *given: Any, **options: Any
+) -> Collocated:
+    """One solve on ``segments`` from DMOC's initial guess, without coarser or finer levels.
+
+    ``transcription``: a `Collocation`, or `transcribe(vehicle)` for DMOC of an ``order``; two marks at given frames;
+    then ``order``, ``world``, and options of `vehsim.plan`, such as ``fps``, ``cost``, ``limits``, ``solver``.
+    """
+    solved = planning.solve(*begin(transcription, marks, segments, *given, **options))
     assert solved.solution is not None
     g, _, _, c, _ = solved.knots()
     return Collocated(solved.solution, g, c, solved.run_controls())

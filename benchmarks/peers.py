@@ -15,6 +15,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,16 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 import vehsim
-from benchmarks.collocated import solve as solve_once
+from benchmarks.collocated import begin
 from benchmarks.machine import headed
+from benchmarks.staged import Staged
 from vehsim import Mark
 from vehsim.integrators.continuous import equations_of_motion
 from vehsim.lie import SO3xR3
+from vehsim.planning.constraints.block import assemble, parameter_values, variable_bounds
+from vehsim.planning.iterate import Iterate
+from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning.problem.solver import Solver
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.vehicles import Control, Holonomic, Vehicle
 
@@ -38,19 +44,20 @@ TOP = [
     "# Planning beside other tools, measured",
     "",
     "CPU time of the fastest of the others over ours: more than 1 means that ours is faster. *Total* compares with",
-    "`vehsim.plan`, which also refines, executes and audits; *one solve* and *prebuilt* with one solve of ours, as",
-    "theirs are.",
+    "`vehsim.plan`, which also refines, executes and audits; *one solve*, *prebuilt* and *warm* with one solve of ours",
+    "by IPOPT, as plans use it, or by fatrop.",
     "",
     "| problem | Drake, total | CasADi, total | CasADi, total, one solve | CasADi Hermite-Simpson, prebuilt "
-    "| CasADi shooting, prebuilt |",
-    "|---|---|---|---|---|---|",
+    "| CasADi shooting, prebuilt | the same over our fatrop | CasADi, warm |",
+    "|---|---|---|---|---|---|---|---|",
 ]
 HEAD = [
     "CPU times, s. *Total*: building the problem and the first solve, without imports. *Prebuilt*: the least of three",
-    "further solves of the built problem from the same guess; *warm*: from the solution itself. `vehsim.plan` includes",
-    "refinement, the execution of its controls and the audit in all three; `vehsim, one solve` is a single solve on",
-    "the given segments at order 4. Drake and CasADi deliver a solution that nothing else checked. What flies is in",
-    "balance at both ends; the controls of shooting, constant in a segment, are free there, so its cost is lower.",
+    "further solves of the built problem from the same guess; *warm*: from the solution itself, with its multipliers",
+    "where a solver takes them. `vehsim.plan` includes refinement, the execution of its controls and the audit in all",
+    "three. `vehsim, one solve` is a single solve on the given segments at order 4 and nothing else, as the others'",
+    "are, by IPOPT or, by stages, by fatrop. What flies is in balance at both ends; the controls of shooting, constant",
+    "in a segment, are free there, so its cost is lower.",
     "",
     "| problem | tool | segments | total | prebuilt | warm | iterations | cost | executed, off by (m) |",
     "|---|---|---|---|---|---|---|---|---|",
@@ -60,7 +67,17 @@ DROPPED = """
 
 - acados: it does not install from PyPI.
 - The first solve at order 4, or on 16 segments: see `RESULTS.planning.md`.
-- fatrop on the problems of `vehsim.plan`, without a structure by stages: no faster than IPOPT.""".splitlines()
+- fatrop on the problems of `vehsim.plan`, without a structure by stages: no faster than IPOPT. By stages
+  (`benchmarks/staged.py`) it is in the table: 1.2 to 1.3 times as fast as IPOPT for car and quadrotor, half as fast
+  for the helicopter, where it reaches the optimum in 17 iterations and cannot lower the dual residual to 1e-8. Since
+  our equations are implicit, a stage needs copies of the next state, which cost as much as MUMPS saves. Plans stay
+  with IPOPT, whose warm solves are far faster.
+- Machine code of all derivatives (C, -O1), prebuilt, IPOPT and fatrop, ms: car 11.7 and 7.3 (interpreted 12.9 and
+  10.8), quadrotor 23.6 and 17.3 (35.9 and 28.2), helicopter 47.8 and 101 (89.3 and 189). Compiling takes seconds.
+- Where IPOPT's time goes (quadrotor, 38 ms): derivatives 14, MUMPS and its BLAS 15, the rest IPOPT's own vectors. Other
+  orderings and scalings of MUMPS, SPRAL (five times slower), no scaling of the problem, other oracles of the barrier:
+  within 10 %, but for `mu_oracle=loqo` on the quadrotor (0.78), which is slower for the helicopter.
+  `fast_step_computation` saves 5 to 8 % and gives up the check of each linear solve.""".splitlines()
 
 
 def quadrotor() -> Vehicle:
@@ -244,17 +261,68 @@ def ours(problem: Problem) -> Result:
     return Result(total, prebuilt, warm, made.iterations, made.cost, made.executed.final)
 
 
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Our problem at order 4 on the given segments, with nothing built before, and its initial guess."""
+
+    problem: Problem
+
+    @cached_property
+    def iterate(self) -> Iterate:
+        transcription = Transcription(replace(self.problem.vehicle))  # a copy, for which nothing is built yet
+        given = (self.problem.marks, self.problem.segments, 4)
+        return begin(transcription, *given, fps=FPS, cost=self.problem.cost)[1]
+
+    @cached_property
+    def program(self) -> NonlinearProgram:
+        return assemble(self.iterate.transcription, self.iterate.layout, self.iterate.blocks)
+
+    @cached_property
+    def arguments(self) -> tuple[Array, Array, Array, Array]:
+        """Start, bounds and parameters of a solve."""
+        bounds = variable_bounds(self.iterate, self.iterate.blocks)
+        return self.iterate.x, *bounds, parameter_values(self.program, self.iterate, self.iterate.blocks)
+
+    def executed(self, x: Array) -> float:
+        """Distance, m, from the planned end at which the controls of a solution end."""
+        return replace(self.iterate, x=x).run_controls().final
+
+
 def ours_once(problem: Problem) -> Result:
-    """One solve at order 4 on the given segments."""
-    transcription = Transcription(replace(problem.vehicle))  # a copy, for which nothing is built yet
+    """One solve at order 4 on the given segments by IPOPT."""
+    guess = Guess(problem)
 
-    def solve() -> Any:
-        return solve_once(transcription, problem.marks, problem.segments, 4, fps=FPS, cost=problem.cost)
+    def build() -> Solver:
+        solver = Solver(guess.program)
+        solver.prepare("guess")
+        return solver
 
-    made, total = timed(solve)
-    prebuilt = min(timed(solve)[1] for _ in range(3))
-    solution = made.solution
-    return Result(total, prebuilt, np.nan, solution.iterations, solution.cost, made.executed.final)
+    solver, built = timed(build)
+    found, once = timed(lambda: solver.solve(*guess.arguments))
+    prebuilt = min(timed(lambda: solver.solve(*guess.arguments))[1] for _ in range(3))
+    again = (found.x, *guess.arguments[1:])
+    warm = min(timed(lambda: solver.solve(*again, multipliers=found.multipliers))[1] for _ in range(3))
+    return Result(built + once, prebuilt, warm, found.iterations, found.cost, guess.executed(found.x))
+
+
+def ours_staged(problem: Problem) -> Result:
+    """The same by fatrop, in its structure by stages (`benchmarks.staged`)."""
+    guess = Guess(problem)
+
+    def build() -> tuple[Staged, ca.Function]:
+        staged = Staged(guess.program, guess.iterate.layout, guess.iterate.x)
+        return staged, staged.solver()
+
+    (staged, solver), built = timed(build)
+    arguments = staged.given(*guess.arguments)
+    found, once = timed(lambda: solver(**arguments))
+    stats = solver.stats()
+    prebuilt = min(timed(lambda: solver(**arguments))[1] for _ in range(3))
+    again = arguments | {"x0": found["x"]}
+    warm = min(timed(lambda: solver(**again))[1] for _ in range(3))
+    verdict = stats["iter_count"] if stats["success"] else f"{stats['iter_count']}, not to 1e-8"
+    executed = guess.executed(staged.back(found["x"].full().ravel()))
+    return Result(built + once, prebuilt, warm, verdict, float(found["f"]), executed)
 
 
 def casadi_simpson(problem: Problem) -> Result:
@@ -471,6 +539,7 @@ def timed(work: Callable[[], Any]) -> tuple[Any, float]:
 TOOLS: Mapping[str, Callable[[Problem], Result]] = {
     "vehsim.plan": ours,
     "vehsim, one solve": ours_once,
+    "vehsim, one solve, fatrop": ours_staged,
     "CasADi Hermite-Simpson, IPOPT": casadi_simpson,
     "CasADi RK4 shooting, IPOPT": casadi_shooting("ipopt"),
     "CasADi RK4 shooting, fatrop": casadi_shooting("fatrop"),
@@ -514,7 +583,9 @@ def compared(name: str, results: Mapping[str, Result]) -> str:
 
     total, once = results["vehsim.plan"].total, results["vehsim, one solve"]
     ratios = [least("Drake", "total") / total, least("CasADi", "total") / total, least("CasADi", "total") / once.total]
-    ratios += [least(words, "prebuilt") / once.prebuilt for words in ("CasADi Hermite", "CasADi RK4")]
+    shooting, staged = least("CasADi RK4", "prebuilt"), results["vehsim, one solve, fatrop"]
+    ratios += [least("CasADi Hermite", "prebuilt") / once.prebuilt, shooting / once.prebuilt]
+    ratios += [shooting / staged.prebuilt, least("CasADi", "warm") / once.warm]
     return f"| {name} | {' | '.join(f'{ratio:.2f}' for ratio in ratios)} |"
 
 
