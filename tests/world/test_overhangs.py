@@ -84,6 +84,25 @@ def test_the_ground_is_the_lowest_and_below_a_point_the_next_one(terrains):
         )
 
 
+GATE = {"left": ((50, 60, 0), (52, 70, 7)), "right": ((60, 60, 0), (62, 70, 7)), "beam": ((50, 60, 6), (62, 70, 7))}
+
+
+@pytest.mark.parametrize("names", [("left", "right"), ("left", "beam", "right")])
+@pytest.mark.parametrize("thick", [True, False])
+def test_pieces_on_a_plane_of_two_faces_stay_open(names, thick, tmp_path):
+    """Modellers put boxes on a large plane: a gate stays open although the plane's faces reach far beyond it, and posts
+    that hide nothing make no overhang. The ground is on top of what stands on the plane."""
+    ground = box((0, 0, -2), (100, 100, 0))
+    if not thick:
+        ground.update_faces(ground.face_normals[:, 2] > 0.9)
+    trimesh.util.concatenate([ground, *(box(*GATE[name]) for name in names)]).export(tmp_path / "gate.obj")
+    terrain = Terrain.load(tmp_path / "gate.obj")
+    assert (terrain.surface is not None) == ("beam" in names)
+    np.testing.assert_allclose(terrain.height([[51, 65], [56, 65], [61, 65], [20, 30]]), [7, 0, 7, 0], atol=1e-6)
+    if "beam" in names:
+        np.testing.assert_array_equal(terrain.below(np.array([[56, 65, 3], [51, 65, 3], [56, 65, 6.5]])), [0, 1, 1])
+
+
 @pytest.mark.parametrize("suffix", ["stl", "ply", "glb"])
 def test_every_format_keeps_the_arch_open(meshes, tmp_path, suffix):
     mesh = meshes["arch"].copy()

@@ -29,7 +29,7 @@ from vehsim.intake.tiff import read_tiff, read_tiff_header
 from vehsim.intake.toml import lines_in
 from vehsim.intake.usd import SUFFIXES, dependencies
 from vehsim.world.terrain.grid import MAX_POINTS, HeightGrid
-from vehsim.world.terrain.surface import TerrainSurface, surface_of
+from vehsim.world.terrain.surface import BELOW, LEVELS, LIFT, TerrainSurface, looks_up, surface_of
 
 Array = NDArray[np.float64]
 
@@ -304,10 +304,10 @@ def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Plac
     origin = (float(low[0]), float(low[1]))
     top = HeightGrid(path.name, _filled(path, heights.reshape(rows, cols)), origin, cell)
     surface = surface_of(points, faces)
-    floor = surface.floor(rays[:, :2]).reshape(rows, cols)
-    floor = np.where(np.isnan(floor), top.heights, floor)
-    if not _has_overhangs(top, floor, surface):
+    if not _has_overhangs(top, surface, rays[:, :2]):
         return top
+    floor = surface.floor(rays[:, :2])
+    floor = np.where(np.isnan(floor), top.heights.ravel(), floor).reshape(rows, cols)
     return replace(top, heights=floor, surface=surface)
 
 
@@ -328,19 +328,40 @@ def _filled(path: Path, heights: Array) -> Array:
     return heights
 
 
-def _has_overhangs(top: HeightGrid, floor: Array, surface: TerrainSurface) -> bool:
-    """Whether ground is hidden below other rock, so that the heights seen from above, ``top``, lose it: at the grid's
-    points, where the lowest ground is at ``floor`` (rows, cols) m, or in the middle of a face, which may be small."""
+def _has_overhangs(top: HeightGrid, surface: TerrainSurface, xy: Array) -> bool:
+    """Whether ground is hidden below other rock, so that the heights seen from above, ``top``, lose it.
+
+    Looks at the middle of each face, and at ``xy`` (n, 2) m because faces may be large.
+    """
+    import igl
     from scipy.ndimage import maximum_filter, minimum_filter
 
     # On steep slopes a sampled height may differ by the relief of the adjacent cells; that is no overhang.
     relief = replace(top, heights=maximum_filter(top.heights, 3) - minimum_filter(top.heights, 3))
-    slack = 1e-3 * max(top.cell)
-    if (top.heights - floor > relief.heights + slack).any():
+
+    def hidden(places: Array) -> Array:
+        depth = top.height(places[:, :2]) - places[:, 2]
+        return places[depth > relief.height(places[:, :2]) + 1e-3 * max(top.cell)]
+
+    upward = np.ascontiguousarray(surface.faces[looks_up(surface.points[surface.faces])])
+    if not len(upward):
+        return False
+    if surface.free_above(hidden(surface.points[upward].mean(axis=1))).any():
         return True
-    centre = surface.points[surface.ground].mean(axis=1)
-    depth = top.height(centre[:, :2]) - centre[:, 2]
-    return bool((depth > relief.height(centre[:, :2]) + slack).any())
+    tree = igl.AABB()
+    tree.init(surface.points, upward)
+    places = np.column_stack([xy, np.full(len(xy), surface.points[:, 2].min() - BELOW)])
+    for _ in range(LEVELS):  # from below, until it is free or seen from above
+        up = np.tile([0.0, 0.0, 1.0], (len(places), 1))
+        hit, far, _ = tree.intersect_ray_first(surface.points, upward, np.ascontiguousarray(places), up)
+        found = np.asarray(hit) >= 0
+        places = hidden(places[found] + np.asarray(far)[found, None] * [0.0, 0.0, 1.0])
+        if surface.free_above(places).any():
+            return True
+        if not len(places):
+            return False
+        places = places + LIFT
+    return False
 
 
 MAP = ("cell", "origin", "crop", "resample", "nodata")

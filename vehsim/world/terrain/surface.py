@@ -23,6 +23,7 @@ TOUCHED = 0.1
 """Depth at which a point in the ground still touches it, m."""
 ABOVE = 1e-3
 """Height above a face at which a point has to be free for the face to be ground, m."""
+LIFT = np.array([0.0, 0.0, ABOVE])
 
 LEVELS = 8
 """Largest number of levels of ground at a place."""
@@ -83,20 +84,38 @@ class TerrainSurface:
 
     def is_ground(self, corners: Array) -> NDArray[np.bool_]:
         """Whether something can stand on pieces (n, 3, 3) m of its faces, (n,)."""
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        found = normals[:, 2] > 1e-9 * np.linalg.norm(normals, axis=1)
-        above = corners[found].mean(axis=1)
-        above[:, 2] += ABOVE
-        found[found] = ~self.inside(above)
-        return np.asarray(found)
+        found = looks_up(corners)
+        found[found] = self.free_above(corners[found].mean(axis=1))
+        return found
+
+    def free_above(self, places: Array) -> NDArray[np.bool_]:
+        """Whether the space above ``places`` (n, 3) m on its faces is free, (n,)."""
+        return ~self.inside(places + LIFT)
 
     def floor(self, xy: Array) -> Array:
-        """Height (n,) m of the lowest ground at ``xy`` (n, 2) m, beyond the borders of the closest border point; nan
-        where there is none."""
+        """Height (n,) m of the lowest ground at ``xy`` (n, 2) m on which no rock stands; beyond the borders, of the
+        closest border point; nan where there is none."""
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         inset = 1e-7 * (high - low)[:2]  # a ray exactly along a border could miss
         inner = np.clip(xy, low[:2] + inset, high[:2] - inset)
-        return self._ground_along(np.column_stack([inner, np.full(len(xy), low[2] - BELOW)]), 1.0)
+        found = self._ground_along(np.column_stack([inner, np.full(len(xy), low[2] - BELOW)]), 1.0)
+        if self._is_one_piece:
+            return found
+        for _ in range(LEVELS):  # a piece that stands on another, such as a pillar on a plane, covers part of a face
+            places = np.column_stack([inner, found])
+            covered = np.isfinite(found)
+            covered[covered] = ~self.free_above(places[covered])
+            if not covered.any():
+                break
+            found[covered] = self._ground_along(places[covered] + LIFT, 1.0)
+        return found
+
+    @cached_property
+    def _is_one_piece(self) -> bool:
+        """Whether all faces hang together, so that no rock stands on a part of a face of the ground."""
+        import igl
+
+        return int(igl.vertex_components(self.faces).max()) == 0
 
     def ground_below(self, points: Array) -> Array:
         """Height (n,) m of the first ground below points (n, 3) m or up to `TOUCHED` above them; nan where there is
@@ -157,6 +176,12 @@ def surface_of(points: Array, faces: Faces) -> TerrainSurface:
         surface = TerrainSurface(points, np.ascontiguousarray(oriented))
         turned = (np.bincount(body, _volumes(surface)) < 0)[body]
     return TerrainSurface(points, np.where(turned[:, None], surface.faces[:, ::-1], surface.faces))
+
+
+def looks_up(corners: Array) -> NDArray[np.bool_]:
+    """Whether triangles (n, 3, 3) m look upwards, (n,)."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(normals[:, 2] > 1e-9 * np.linalg.norm(normals, axis=1))
 
 
 def heights_on(corners: Array, points: Array) -> Array:
