@@ -79,7 +79,7 @@ def test_one_plain_call_of_mujoco_misses_the_nearest_rock(canyon, vehicle, poses
     scene = Scene(canyon.terrain, vehicle.rig)
     errors = []
     for position, turn, true in zip(*(x[-200:] for x in poses), strict=True):
-        scene._place(position, turn)
+        scene._place(position[None], turn[None])
         answers = [mujoco.mj_geomDistance(scene.model, scene.data, h, scene._ground, 200, None) for h in scene._hulls]
         errors.append(min(answers) - true)
     assert max(errors) > 1.0

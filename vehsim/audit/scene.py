@@ -76,7 +76,7 @@ def _away(
         if vehicle.group.planar:
             walls = world.clearance_from_walls(vehicle, positions, orientations, channels)
         return np.minimum(found.min(axis=1, initial=np.inf), walls)
-    return np.asarray(world.clearance(vehicle, positions, orientations, seconds))
+    return np.asarray(world.clearance(vehicle, positions, orientations, seconds, channels))
 
 
 def _reach(vehicle: Any) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -17,7 +17,7 @@ from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.continuous import execute
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.outlines import bounds_to, gaps_to
-from vehsim.world.obstacles.articulated import articulated_footprint
+from vehsim.world.obstacles.articulated import articulated_footprint, swings_of
 from vehsim.world.obstacles.obstacles import Moving, footprint, hulls_of
 from vehsim.world.obstacles.plane import distance, placed
 
@@ -63,7 +63,7 @@ def certify(
 
     def measured(motion: Clip, seconds: Array) -> Array:
         poses = motion.positions, motion.orientations
-        return np.asarray(world.clearance(clip.vehicle, *poses, seconds) + add(motion.positions))
+        return np.asarray(world.clearance(clip.vehicle, *poses, seconds, motion.channels) + add(motion.positions))
 
     moving = [o for o in world.obstacles if o.moves]
     return _nearest(_Hulls(clip, measured, moving, slope), samples, progress)[0]
@@ -149,8 +149,13 @@ class _Measure(ABC):
         """
         omega, velocity = spatial(motion)
         moved, turn = _path(times, motion.positions, velocity, omega, pairs)
-        others = [(o, _path(*o.motion_at(self.start + times), pairs)) for o in self.moving]
-        return moved, self.around * turn, [w + reach(o.clip.vehicle) * t for o, (w, t) in others]
+        others = []
+        for o in self.moving:
+            w, t = _path(*o.motion_at(self.start + times), pairs)
+            others.append(
+                w + reach(o.clip.vehicle) * t + _swing(o.clip.vehicle, o.channels_at(self.start + times), pairs)
+            )
+        return moved, self.around * turn, others
 
     @abstractmethod
     def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:
@@ -181,7 +186,8 @@ class _Hulls(_Measure):
             found = self.measured(self.clip.at(times[new]), self.start + times[new])
             self.known.update(zip(times[new].tolist(), found.tolist(), strict=True))
         travelled, turn, others = self.travel(times, motion, pairs)
-        moved = (1 + self.slope) * travelled + turn + np.max(others, axis=0, initial=0.0)
+        swing = _swing(motion.vehicle, motion.channels, pairs)
+        moved = (1 + self.slope) * travelled + turn + swing + np.max(others, axis=0, initial=0.0)
         return np.array([[self.known[t] for t in times.tolist()]]), moved[None]
 
 
@@ -225,6 +231,13 @@ class _Outlines(_Measure):
             for shape, meets in zip(shapes, self.meets, strict=True)
         ]
         return np.array(gaps), moved
+
+
+def _swing(vehicle: Any, channels: Mapping[str, Array], pairs: NDArray[np.intp]) -> Array:
+    """Upper bound (m,) m on how far trailers and discs move against their vehicle between ``pairs`` (m, 2)."""
+    swings = {name: far for name, far in swings_of(vehicle).items() if name in channels}
+    steps = [far * np.abs(np.diff(channels[name][pairs], axis=1))[:, 0] for name, far in swings.items()]
+    return LEAN * np.sum(steps, axis=0) if steps else np.zeros(len(pairs))
 
 
 def reach(vehicle: Any) -> float:

@@ -316,7 +316,9 @@ def _landed(clip: Clip, world: Any, frames: Array) -> NDArray[np.bool_]:
     if clip.vehicle.group.planar or world is None or (world.terrain is None and not world.obstacles):
         return np.zeros(len(frames), bool)
     there, seconds = clip.at(_times(clip, frames)), frames / float(clip.fps)
-    return np.asarray(world.clearance(clip.vehicle, there.positions, there.orientations, seconds) < STANDS)
+    return np.asarray(
+        world.clearance(clip.vehicle, there.positions, there.orientations, seconds, there.channels) < STANDS
+    )
 
 
 def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -> float:
@@ -324,7 +326,7 @@ def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -
     if world is None or (world.terrain is None and not world.obstacles):
         return clearance
     seconds = (first / float(clip.fps)) + solved.times - solved.times[0]
-    least = float(world.clearance(clip.vehicle, solved.positions, solved.orientations, seconds).min())
+    least = float(world.clearance(clip.vehicle, solved.positions, solved.orientations, seconds, solved.channels).min())
     return max(0.0, min(clearance, least))
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import ExportError, InputError, Problem
 from vehsim.intake.usd import complaints, open_stage
-from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL
+from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, HITCH_PITCH, HITCH_ROLL
 from vehsim.runtime.cache import Stamp, made_of, stamp
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ SENSES = {
     "travel_": ("positive travel of a wheel is up", (0.0, 0.0, 1.0)),
     HITCH_PITCH: ("nose down is a rotation about the axis to the left", (0.0, 1.0, 0.0)),
     HITCH_ROLL: ("left side up is a rotation about the axis ahead", (1.0, 0.0, 0.0)),
+    DISC_PITCH: ("a disc that tilts forward is a rotation about the axis to the left", (0.0, 1.0, 0.0)),
+    DISC_ROLL: ("a disc that tilts to the right is a rotation about the axis ahead", (1.0, 0.0, 0.0)),
 }
 """Prefix of a channel -> the meaning of its positive values in every model, and their axis (3,) in the rig root's
 frame."""

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from vehsim.errors import InputError
 from vehsim.runtime.progress import Progress
 from vehsim.world.distance.field import DistanceField, distance_field
-from vehsim.world.obstacles.articulated import carriers_of
+from vehsim.world.obstacles.articulated import carriers_of, swung
 from vehsim.world.obstacles.obstacles import Moving, Obstacle, check_obstacles
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.water import Water
@@ -188,29 +188,41 @@ class World:
         return self._fields[key]
 
     def clearance(
-        self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike, seconds: ArrayLike | None = None
+        self,
+        vehicle: Any,
+        positions: ArrayLike,
+        orientations: ArrayLike,
+        seconds: ArrayLike | None = None,
+        channels: Mapping[str, Array] = MappingProxyType({}),
     ) -> Array:
         """Signed distance (n,) m from the vehicle's hulls to terrain and obstacles at rig-root poses; +inf without any.
 
         ``positions`` (n, 3) m, ``orientations`` (n, 4) w, x, y, z (T_wr). It is exact in the air; a pose that touches
         rock gives minus its vertical depth. Moving obstacles are placed at ``seconds`` (n,) since frame 0, and ignored
-        without them.
+        without them. ``channels`` (n,) of the rig: with them, a rotor's disc tilts and trailers turn; otherwise they
+        are as at rest.
         """
-        least = self._from_obstacles(vehicle, positions, orientations, seconds).min(axis=1)
-        return np.minimum(least, self.clearance_from_terrain(vehicle, positions, orientations))
+        least = self._from_obstacles(vehicle, positions, orientations, seconds, channels=channels).min(axis=1)
+        return np.minimum(least, self.clearance_from_terrain(vehicle, positions, orientations, channels))
 
-    def clearance_from_terrain(self, vehicle: Any, positions: ArrayLike, orientations: ArrayLike) -> Array:
+    def clearance_from_terrain(
+        self,
+        vehicle: Any,
+        positions: ArrayLike,
+        orientations: ArrayLike,
+        channels: Mapping[str, Array] = MappingProxyType({}),
+    ) -> Array:
         """`clearance` from the terrain only, (n,) m."""
         if self.terrain is None or vehicle.rig is None:
             return np.full(len(np.asarray(positions, dtype=float).reshape(-1, 3)), np.inf)
-        asset = str(vehicle.rig.asset)
-        if asset not in self._scenes:
+        key = str(vehicle.rig.asset), carriers_of(vehicle)
+        if key not in self._scenes:
             from vehsim.world.distance.scene import Scene
             from vehsim.world.distance.surface_scene import SurfaceScene
 
             kind = Scene if self.terrain.surface is None else SurfaceScene
-            self._scenes[asset] = kind(self.terrain, vehicle.rig)
-        return self._scenes[asset].clearance(positions, orientations)
+            self._scenes[key] = kind(self.terrain, vehicle.rig, carriers=key[1])
+        return np.asarray(self._scenes[key].clearance(positions, orientations, swung(vehicle, channels)))
 
     def clearance_from_walls(
         self,
@@ -234,7 +246,7 @@ class World:
             walls = self.walls(np.inf)
             assert walls is not None
             self._walls[key] = SurfaceScene(self.terrain, vehicle.rig, walls.mesh, carriers)
-        return np.asarray(self._walls[key].clearance(points, orientations, channels))
+        return np.asarray(self._walls[key].clearance(points, orientations, swung(vehicle, channels)))
 
     def clearance_by_obstacle(
         self,
@@ -269,7 +281,7 @@ class World:
             self._obstacle_scenes[key] = ObstacleScene(vehicle.rig, self.obstacles, carriers)
         turned = np.asarray(orientations, dtype=float).reshape(-1, 4)
         when = None if seconds is None else np.atleast_1d(np.asarray(seconds, float))
-        return self._obstacle_scenes[key].clearance(points, turned, when, each, channels)
+        return self._obstacle_scenes[key].clearance(points, turned, when, each, swung(vehicle, channels))
 
     def route(
         self,

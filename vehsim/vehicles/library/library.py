@@ -18,7 +18,7 @@ import numpy as np
 from vehsim.assets import described, description
 from vehsim.errors import InputError
 from vehsim.intake.toml import lines_in
-from vehsim.rig.rig import HITCH_PITCH, HITCH_ROLL, Drive, Rig, Suspension
+from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, HITCH_PITCH, HITCH_ROLL, Drive, Rig, Suspension
 from vehsim.runtime.cache import Stamp, stamp
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles.definition.base import Control
@@ -319,7 +319,7 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
 
     def place(item: tuple[str, Drive]) -> tuple[bool, bool, int]:  # order: slide, steer, pitch, roll, spin
         name, drive = item
-        tilt = 1 * name.startswith(HITCH_PITCH) + 2 * name.startswith(HITCH_ROLL)
+        tilt = 1 * name.startswith((HITCH_PITCH, DISC_PITCH)) + 2 * name.startswith((HITCH_ROLL, DISC_ROLL))
         return drive.op.startswith("rotate"), vehicle.channels[name].rate is not None, tilt
 
     drives = dict(sorted(drives.items(), key=place))

@@ -14,7 +14,7 @@ from annotated_types import Len
 
 from vehsim.constants import AIR
 from vehsim.lie import SO3xR3
-from vehsim.rig.rig import Channel
+from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.holonomic import Holonomic
 from vehsim.vehicles.definition.quantities import (
@@ -162,6 +162,9 @@ def helicopter(
         # nose first; the torque of a rotor changes with speed, and letting it swing the nose would save a little effort
         default_costs={"course": 1.0} | ({"turning": HEADING_HOLD} if rotor_radius else {}),
         channels={
+            # the disc stands across the thrust: `direction` is R_y(pitch) R_x(roll) e_z on an upright mast
+            DISC_PITCH: Channel(value=lambda t, r, u, xi, c: c[2]),
+            DISC_ROLL: Channel(value=lambda t, r, u, xi, c: c[3]),
             "main_rotor": Channel(rate=lambda t, r, u, xi, c: main_rotor_speed),
             "tail_rotor": Channel(rate=lambda t, r, u, xi, c: tail_rotor_speed),
         },

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.rig.linkage import part_poses
-from vehsim.rig.parts import add_to_spec, solids
 from vehsim.rig.rig import Rig
-from vehsim.world.obstacles.articulated import carriers_of
+from vehsim.world.distance.scene import add_carriers
+from vehsim.world.obstacles.articulated import carriers_of, swung
 from vehsim.world.obstacles.obstacles import Moving, Obstacle
 
 Array = NDArray[np.float64]
@@ -36,10 +36,10 @@ class ObstacleScene:
 
         spec = mujoco.MjSpec()
         self.obstacles, self.rig, self.carriers = list(obstacles), rig, ("", *carriers)
-        bodies = [[_add_point(spec)] if rig is None else _add_carriers(spec, rig, "vehicle", self.carriers)]
+        bodies = [[_add_point(spec)] if rig is None else add_carriers(spec, rig, "vehicle", self.carriers)]
         for k, obstacle in enumerate(self.obstacles):
             if isinstance(obstacle, Moving):
-                bodies.append(_add_carriers(spec, _rig(obstacle), f"obstacle/{k}", _carriers(obstacle)))
+                bodies.append(add_carriers(spec, _rig(obstacle), f"obstacle/{k}", _carriers(obstacle)))
                 continue
             body = spec.worldbody.add_body(name=f"obstacle/{k}")
             for n, hull in enumerate(obstacle.hulls):
@@ -81,7 +81,7 @@ class ObstacleScene:
         for k, obstacle in moving.items():
             if seconds is not None:
                 rig, there = _rig(obstacle), obstacle.poses_at(seconds)
-                turned = obstacle.channels_at(seconds)
+                turned = swung(obstacle.clip.vehicle, obstacle.channels_at(seconds))
                 poses = [part_poses(rig, path, turned, *there) for path in _carriers(obstacle)]
                 placed += zip(self._places[k + 1], poses, strict=True)
         groups = [self._theirs[k] for k in shown] if each else [[geom for k in shown for geom in self._theirs[k]]]
@@ -123,20 +123,6 @@ def _carriers(obstacle: Moving) -> tuple[str, ...]:
 def _rig(obstacle: Moving) -> Rig:
     rig: Rig = obstacle.clip.vehicle.rig  # type: ignore[assignment]  # `moving` refuses vehicles without one
     return rig
-
-
-def _add_carriers(spec: Any, rig: Rig, name: str, carriers: Sequence[str]) -> list[Any]:
-    """A vehicle's hulls as one body for each of its ``carriers``, of which "" is the vehicle itself."""
-    owners = {
-        solid.path: max((c for c in carriers if not c or f"{solid.path}/".startswith(f"{c}/")), key=len)
-        for solid in solids(rig.asset, rig.root or None)
-    }
-    return [
-        add_to_spec(
-            spec, rig, f"{name}.{k}" if k else name, only=[path for path, owner in owners.items() if owner == carrier]
-        )
-        for k, carrier in enumerate(carriers)
-    ]
 
 
 def _add_point(spec: Any) -> Any:

@@ -5,6 +5,8 @@ This module knows MuJoCo's models, poses and geometric queries.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import matrices
-from vehsim.rig.parts import add_to_spec
+from vehsim.rig.linkage import part_poses
+from vehsim.rig.parts import add_to_spec, solids
 from vehsim.rig.rig import Rig
 from vehsim.world.terrain.terrain import Terrain
 
@@ -52,25 +55,48 @@ def write_heights(model: Any, terrain: Terrain, name: str = "terrain") -> None:
     model.hfield_data[start : start + size] = ((terrain.heights - terrain.heights.min()) / relief).ravel()
 
 
-class Scene:
-    """A terrain and one vehicle's hulls in a MuJoCo model, for distance queries."""
+def owners_of(rig: Rig, carriers: Sequence[str]) -> dict[str, str]:
+    """The innermost of the ``carriers`` of each part with hulls, by path; "" carries the whole vehicle."""
+    paths = [solid.path for solid in solids(rig.asset, rig.root or None)]
+    return {path: max((c for c in carriers if not c or f"{path}/".startswith(f"{c}/")), key=len) for path in paths}
 
-    def __init__(self, terrain: Terrain, rig: Rig) -> None:
+
+def add_carriers(spec: Any, rig: Rig, name: str, carriers: Sequence[str]) -> list[Any]:
+    """Add a vehicle's hulls to a ``mujoco.MjSpec``, one free body for each of its ``carriers``, of which "" is the
+    vehicle itself."""
+    owners = owners_of(rig, carriers)
+    return [
+        add_to_spec(
+            spec, rig, f"{name}.{k}" if k else name, only=[path for path, owner in owners.items() if owner == carrier]
+        )
+        for k, carrier in enumerate(carriers)
+    ]
+
+
+class Scene:
+    """A terrain and one vehicle's hulls in a MuJoCo model, for distance queries.
+
+    ``carriers``: paths of the parts that swing out of the vehicle, such as a rotor's disc, parents before children.
+    """
+
+    def __init__(self, terrain: Terrain, rig: Rig, carriers: Sequence[str] = ()) -> None:
         import igl
         import mujoco
 
         spec = mujoco.MjSpec()
         add_terrain(spec, terrain)
-        body = add_to_spec(spec, rig, "vehicle")
-        geoms, name = [geom.name for geom in body.geoms], body.name
-        self.terrain = terrain
+        self.terrain, self.rig, self.carriers = terrain, rig, ("", *carriers)
+        bodies = add_carriers(spec, rig, "vehicle", self.carriers)
+        geoms, names = [[geom.name for geom in body.geoms] for body in bodies], [body.name for body in bodies]
         self.model = spec.compile()
         write_heights(self.model, terrain)
         self.data = mujoco.MjData(self.model)
-        self._ground, self._body = self.model.geom("terrain").id, self.model.body(name).id
-        self._hulls = [self.model.geom(name).id for name in geoms]
-        # With the body at the origin, a geom's pose is its pose in the rig root's frame.
-        self._place(np.zeros(3), np.array([1.0, 0, 0, 0]))
+        self._ground, self._bodies = self.model.geom("terrain").id, [self.model.body(name).id for name in names]
+        self._joints = self.model.jnt_qposadr[self.model.body_jntadr[self._bodies]]
+        self._hulls = [self.model.geom(name).id for group in geoms for name in group]
+        self._owners = np.repeat(np.arange(len(geoms)), [len(group) for group in geoms])
+        # With its body at the origin, a geom's pose is its pose in the rig root's frame.
+        self._place(np.zeros((len(bodies), 3)), np.tile([1.0, 0, 0, 0], (len(bodies), 1)))
         self._corners = [self._vertices(hull) for hull in self._hulls]
         self._centres = np.array([0.5 * (c.min(axis=0) + c.max(axis=0)) for c in self._corners])
         self._radii = np.array(
@@ -81,23 +107,31 @@ class Scene:
         self._tree = igl.AABB()
         self._tree.init(*self._mesh)
 
-    def clearance(self, positions: ArrayLike, orientations: ArrayLike) -> Array:
-        """Signed distance (n,) m from the hulls to the terrain at rig-root poses (n, 3) m, (n, 4) w, x, y, z.
+    def clearance(
+        self,
+        positions: ArrayLike,
+        orientations: ArrayLike,
+        channels: Mapping[str, Array] = MappingProxyType({}),
+    ) -> Array:
+        """Signed distance (n,) m from the hulls to the terrain at rig-root poses (n, 3) m, (n, 4) w, x, y, z;
+        ``channels`` (n,): those that move the ``carriers``.
 
         Exact in the air. A pose that touches the rock gives minus its depth, measured vertically at the hulls' corners.
         Beyond the borders the ground continues level, and the result is at most the height above it.
         """
         positions, orientations = checked_poses(positions, orientations)
-        bounds = self._centre_distances(positions, orientations)
+        own = [part_poses(self.rig, path, channels, positions, orientations) for path in self.carriers]
+        places, turned = (np.stack(pose, axis=1) for pose in zip(*own, strict=True))
+        bounds = self._centre_distances(places, turned)
         result = np.empty(len(positions))
-        for k, (position, orientation) in enumerate(zip(positions, orientations, strict=True)):
+        for k in range(len(positions)):
             expected = np.inf  # at most the distance of the previous pose, plus the greatest displacement since
             if k:
-                moved = self._motion(positions[k - 1 : k + 1], orientations[k - 1 : k + 1])
+                moved = self._motion(places[k - 1 : k + 1], turned[k - 1 : k + 1])
                 expected = max(result[k - 1], 0.0) + moved
-            self._place(position, orientation)
+            self._place(places[k], turned[k])
             result[k] = self._nearest(bounds[k], expected)
-            if result[k] > 0 and self._beyond(position):
+            if result[k] > 0 and self._beyond(positions[k]):
                 result[k] = min(result[k], self._gap())
         return result
 
@@ -138,14 +172,17 @@ class Scene:
 
     def _gap(self) -> float:
         """The smallest height of the placed hulls' corners above the surface, m; negative if one lies below it."""
-        corners = np.concatenate(self._corners) @ self.data.xmat[self._body].reshape(3, 3).T
-        corners += self.data.xpos[self._body]
-        return float((corners[:, 2] - self.terrain.height(corners[:, :2])).min())
+        corners = []
+        for own, owner in zip(self._corners, self._owners, strict=True):
+            body = self._bodies[owner]
+            corners.append(own @ self.data.xmat[body].reshape(3, 3).T + self.data.xpos[body])
+        placed = np.concatenate(corners)
+        return float((placed[:, 2] - self.terrain.height(placed[:, :2])).min())
 
     def _centre_distances(self, positions: Array, orientations: Array) -> Array:
-        """Signed distance (n, hulls) m of every hull's centre from the surface."""
-        rotation = matrices(np.asarray(orientations, float))
-        centres = positions[:, None] + np.einsum("nij,hj->nhi", rotation, self._centres)
+        """Signed distance (n, hulls) m of every hull's centre from the surface, at poses (n, carriers, ...)."""
+        rotation = matrices(orientations.reshape(-1, 4)).reshape(*orientations.shape[:2], 3, 3)[:, self._owners]
+        centres = positions[:, self._owners] + np.einsum("nhij,hj->nhi", rotation, self._centres)
         points = np.ascontiguousarray(centres.reshape(-1, 3))
         squared, _, _ = self._tree.squared_distance(*self._mesh, points)
         above = points[:, 2] > self.terrain.height(points[:, :2])
@@ -157,14 +194,16 @@ class Scene:
         return bool((position[:2] < low).any() or (position[:2] > high).any())
 
     def _motion(self, positions: Array, orientations: Array) -> float:
-        """An upper bound of the displacement of any point of the hulls between two poses, m."""
-        turn = 2 * np.arccos(min(1.0, abs(float(orientations[0] @ orientations[1]))))
-        return float(np.linalg.norm(positions[1] - positions[0]) + turn * self._reach)
+        """An upper bound of the displacement of any point of the hulls between two poses (2, carriers, ...), m."""
+        turn = 2 * np.arccos(np.minimum(1.0, np.abs(np.einsum("ci,ci->c", *orientations))))
+        return float((np.linalg.norm(positions[1] - positions[0], axis=1) + turn * self._reach).max())
 
-    def _place(self, position: Array, orientation: Array) -> None:
+    def _place(self, positions: Array, orientations: Array) -> None:
+        """Place the carriers at poses (carriers, 3) m and (carriers, 4)."""
         import mujoco
 
-        self.data.qpos[:3], self.data.qpos[3:7] = position, orientation
+        for at, position, orientation in zip(self._joints, positions, orientations, strict=True):
+            self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = position, orientation
         mujoco.mj_kinematics(self.model, self.data)
 
     def _vertices(self, geom: int) -> Array:

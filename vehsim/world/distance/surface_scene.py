@@ -16,7 +16,7 @@ from vehsim.lie.quaternions import matrices
 from vehsim.rig.linkage import part_poses
 from vehsim.rig.parts import solids
 from vehsim.rig.rig import Rig
-from vehsim.world.distance.scene import TOUCHING, checked_poses
+from vehsim.world.distance.scene import TOUCHING, checked_poses, owners_of
 from vehsim.world.terrain.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -43,10 +43,10 @@ class SurfaceScene:
         self.terrain, self.rig, self.carriers, self._whole = terrain, rig, ("", *carriers), mesh is None
         hulls: list[Array] = []
         owners: list[int] = []
+        carrier = owners_of(rig, self.carriers)
         for solid in solids(rig.asset, rig.root or None):
-            inside = [c for c in self.carriers if not c or f"{solid.path}/".startswith(f"{c}/")]
             hulls += solid.hulls
-            owners += [self.carriers.index(max(inside, key=len))] * len(solid.hulls)
+            owners += [self.carriers.index(carrier[solid.path])] * len(solid.hulls)
         self._owners = np.array(owners)
         shapes = [ConvexHull(hull) for hull in hulls]
         self._corners = [hull[shape.vertices] for hull, shape in zip(hulls, shapes, strict=True)]

@@ -1,17 +1,20 @@
-"""The articulated part of a footprint: parts such as trailers that turn out of it as the vehicle moves, in plan
-view."""
+"""Parts that turn out of a vehicle as it moves, such as trailers and a rotor's disc; trailers also in plan view."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.rig.linkage import screws
+from vehsim.rig.rig import Drive, Rig
 from vehsim.runtime.cache import Stamp
 from vehsim.world.obstacles.obstacles import asset_of, footprint, seen_from_above
 from vehsim.world.obstacles.plane import distance
@@ -68,10 +71,56 @@ def articulated_footprint(vehicle: Any) -> tuple[ArticulatedPart, ...]:
 
 
 def carriers_of(vehicle: Any) -> tuple[str, ...]:
-    """Paths of the parts that carry the `articulated_footprint`, such as trailers, parents before children."""
-    turning = {channel for part in articulated_footprint(vehicle) for channel, _, _ in part.pivots}
-    found = {vehicle.rig.drives[channel].prim for channel in turning}
+    """Paths of the parts that turn by more than `ASIDE` out of a vehicle as it moves, such as trailers and a rotor's
+    disc, parents before children."""
+    found = {vehicle.rig.drives[channel].prim for channel in swings_of(vehicle)}
     return tuple(sorted(found, key=lambda path: path.count("/")))
+
+
+def swung(vehicle: Any, channels: Mapping[str, Array]) -> dict[str, Array]:
+    """Those of the ``channels`` that turn the `carriers_of` a vehicle. A spin is none: hulls contain it at rest."""
+    return {name: channels[name] for name in swings_of(vehicle) if name in channels}
+
+
+def swings_of(vehicle: Any) -> Mapping[str, float]:
+    """The channels that turn the `carriers_of` a vehicle, and how far each moves any point of them, at most, m/rad."""
+    if vehicle.rig is None:
+        return MappingProxyType({})
+    turning = {channel for part in articulated_footprint(vehicle) for channel, _, _ in part.pivots}
+    drives = tuple(
+        (channel, drive)
+        for channel, drive in vehicle.rig.drives.items()
+        if drive.op.startswith("rotate") and channel in vehicle.channels and vehicle.channels[channel].rate is None
+    )
+    return _read_swings(*asset_of(vehicle), drives, frozenset(turning)) if drives else MappingProxyType({})
+
+
+@lru_cache(maxsize=32)
+def _read_swings(
+    asset: Path, root: str | None, written: Stamp, drives: tuple[tuple[str, Drive], ...], turning: frozenset[str]
+) -> Mapping[str, float]:
+    from scipy.spatial import ConvexHull
+
+    from vehsim.rig.parts import solids
+
+    rig = Rig(asset, root or "", drives=dict(drives))
+    parts = {solid.path: np.vstack(solid.hulls) for solid in solids(asset, root) if solid.hulls}
+    whole = ConvexHull(np.vstack(list(parts.values()))).equations
+    reach: dict[str, float] = {}
+    prims = {drive.prim for channel, drive in drives if channel in turning}
+    for path, points in parts.items():
+        chain = screws(rig, path)
+        for k, screw in enumerate(chain):
+            places = [each.pivot for each in chain[k:]]
+            last = float(np.linalg.norm(points - places[-1], axis=1).max())
+            along = last + sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
+            reach[screw.channel] = max(reach.get(screw.channel, 0.0), along * float(np.linalg.norm(screw.axis)))
+            if rig.drives[screw.channel].op != "rotateZ":  # what turns about the vertical is judged in plan view
+                turns, shifts = screw.at(np.array([-1.0, 1.0]))
+                moved = points @ turns.transpose(0, 2, 1) + shifts[:, None]
+                if (moved @ whole[:, :3].T + whole[:, 3]).max() > ASIDE:
+                    prims.add(screw.prim)
+    return MappingProxyType({name: reach[name] for name, drive in drives if drive.prim in prims and name in reach})
 
 
 @lru_cache(maxsize=32)
