@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.optimize import nnls
+from scipy.spatial.transform import Rotation
 
 import vehsim
 from vehsim import Mark, World
@@ -12,6 +13,7 @@ from vehsim.errors import InputError, SolveError
 from vehsim.planning.certificates import certify
 from vehsim.planning.request.landing import landing_clearance
 from vehsim.planning.request.ranges import stay
+from vehsim.rig.parts import solids
 from vehsim.world.distance.clearance import ObstacleScene
 from vehsim.world.ground.touchdown import height_below, put_down
 from vehsim.world.obstacles import obstacles as ob
@@ -36,10 +38,15 @@ def apart(a, b):
 
 
 def strewn(vehicle):
-    """Points (n, 3) m spread over a vehicle's hulls, a few centimetres apart at their corners."""
+    """Points (n, 3) m spread over a vehicle's hulls, a few centimetres apart at their corners, and which are the
+    disc's."""
     rng = np.random.default_rng(0)
-    meshes = [trimesh.convex.convex_hull(hull) for hull in hulls_of(vehicle)]
-    return np.vstack([np.vstack([m.vertices, trimesh.sample.sample_surface(m, 300, seed=rng)[0]]) for m in meshes])
+    points, on_disc = [], []
+    for solid in solids(vehicle.rig.asset):
+        for mesh in map(trimesh.convex.convex_hull, solid.hulls):
+            points += [mesh.vertices, trimesh.sample.sample_surface(mesh, 300, seed=rng)[0]]
+            on_disc += [np.full(len(cloud), solid.path == "main_rotor") for cloud in points[-2:]]
+    return np.vstack(points), np.concatenate(on_disc)
 
 
 def seen_by_igl(clip, hulls, times, frame=lambda t: np.eye(4)):
@@ -48,10 +55,12 @@ def seen_by_igl(clip, hulls, times, frame=lambda t: np.eye(4)):
     Upper bounds of the true distances; the difference is due to the spacing of the points.
     """
     shapes = [trimesh.convex.convex_hull(hull) for hull in hulls]
-    points, out = strewn(clip.vehicle), []
-    for t, T in zip(times, clip.at(times).matrices(), strict=True):
+    (points, on_disc), out, there_at = strewn(clip.vehicle), [], clip.at(times)
+    hub = next(solid.T_rp[:3, 3] for solid in solids(clip.vehicle.rig.asset) if solid.path == "main_rotor")
+    tilts = Rotation.from_euler("YX", np.stack([there_at.channels[f"disc_{k}"] for k in ("pitch", "roll")], axis=1))
+    for t, T, tilt in zip(times, there_at.matrices(), tilts, strict=True):
         T = np.linalg.inv(frame(t)) @ T
-        there = points @ T[:3, :3].T + T[:3, 3]
+        there = np.where(on_disc[:, None], tilt.apply(points - hub) + hub, points) @ T[:3, :3].T + T[:3, 3]
         out.append(
             min(
                 igl.signed_distance(
@@ -109,7 +118,7 @@ def test_certification_finds_what_samples_miss(flight):
     """Between samples too: with two poses per segment it finds the same minimum as with 32, to a millimetre."""
     world = World(obstacles=TOWN)
     fine = flight.clip.at(np.linspace(0, flight.duration, 32 * (len(flight.clip) - 1) + 1))
-    exact = world.clearance(flight.clip.vehicle, fine.positions, fine.orientations).min()
+    exact = world.clearance(flight.clip.vehicle, fine.positions, fine.orientations, channels=fine.channels).min()
     assert certify(flight.clip, world, samples=1) == pytest.approx(exact, abs=2e-3)
 
 
@@ -210,13 +219,13 @@ def test_comes_down_gently_and_never_into_the_ground(touchdown, helicopter):
     away = np.linalg.norm(above, axis=1)
     down = -np.gradient(motion.positions[:, 2], times)
     assert (down <= 0.5 + away + 0.2).all()
-    gaps = world.clearance(helicopter, motion.positions, motion.orientations)
+    gaps = world.clearance(helicopter, motion.positions, motion.orientations, channels=motion.channels)
     assert gaps.min() > -1e-3
     assert (gaps >= landing_clearance(away, 1.0, 0.0) - 0.02).all()
     # by libigl: never in the pad, and a metre from bare ground
     some = times[::30]
     assert seen_by_igl(plan.clip, PAD.hulls, some).min() > -1e-3
-    points, matrices = strewn(helicopter), plan.clip.at(some).matrices()
+    (points, _), matrices = strewn(helicopter), plan.clip.at(some).matrices()
     there = np.vstack([points @ T[:3, :3].T + T[:3, 3] for T in matrices])
     squared = igl.point_mesh_squared_distance(there, world.terrain.vertices, world.terrain.faces)[0]
     assert np.sqrt(squared.min()) > 1.0 - 0.02

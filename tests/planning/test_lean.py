@@ -12,7 +12,7 @@ from vehsim.errors import InputError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import FINEST
 from vehsim.planning.request.marks_near_obstacles import facing_clear, marks_too_near
-from vehsim.planning.trim import steady, upright
+from vehsim.planning.trim import balanced, steady, upright
 from vehsim.world.obstacles.obstacles import box, moving
 
 REST = (0.0, 0.0, 0.0)
@@ -41,9 +41,10 @@ def helicopter(asset):
     "asset, needed, wrong",
     [
         ("helicopter_lie", 0.3, "in obstacle 'other' at any heading at frame 200"),
-        # where both lean alike, one disc is above the other: 10.4 sin(2.55 deg) less their thickness
-        ("leaning", 0.3, "only 0.29 m from obstacle 'other' at any heading at frame 200"),
-        ("leaning", 0.28, ""),
+        # where both lean alike, one disc is above the other: 10.4 sin(3.4 deg), at which the thrust balances the tail
+        # rotor's, less their thickness
+        ("leaning", 0.45, "only 0.42 m from obstacle 'other' at any heading at frame 200"),
+        ("leaning", 0.41, ""),
     ],
 )
 def test_a_mark_in_the_way_of_another_vehicle_is_refused_with_its_frame(asset, needed, wrong):
@@ -73,7 +74,7 @@ def test_a_helicopter_stays_where_it_is_upright(asset, wind):
         assert np.ptp(clip.positions, axis=0).max() < 1e-3
 
 
-@pytest.mark.parametrize("asset, into", [("helicopter_lie", 2.47), ("leaning", 1.73)])
+@pytest.mark.parametrize("asset, into", [("helicopter_lie", 2.47), ("leaning", 1.64)])
 def test_a_mark_too_near_to_rock_is_refused_at_any_heading(asset, into):
     """In the canyon, 4 m from a wall: less than half the rotor. Tolerance and landings reduce the clearance."""
     heli, world = helicopter(asset), vehsim.World("canyon")
@@ -86,7 +87,8 @@ def test_a_mark_too_near_to_rock_is_refused_at_any_heading(asset, into):
     assert found(near, 0.5) == [(1, f"the vehicle reaches {into} m into rock at any heading")]
     # at the best of 720 headings, with the hulls where they are there
     yaw = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-    gaps = world.clearance(heli, np.repeat([near.position], len(yaw), axis=0), upright(heli, yaw))
+    turns, channels = balanced(heli, yaw)
+    gaps = world.clearance(heli, np.repeat([near.position], len(yaw), axis=0), turns, channels=channels)
     assert gaps.max() == pytest.approx(-into, abs=0.01)
     assert found(near, 0.5, world=vehsim.World("canyon", wind=(2, 2, 0)))
     assert found(replace(near, position=(24, 0, 26.4)), 0.5) == []
@@ -151,7 +153,8 @@ def test_a_mark_without_a_heading_is_turned_until_the_leaning_hulls_have_room(as
     faced = [start, *(replace(mark, heading=0.0) for mark in given[1:])]
     found = facing_clear(heli, slot(), given, faced, 1.0, 24)
     assert [abs(mark.heading) for mark in found] == [0, turned, turned] and found[1].heading == found[2].heading
-    gaps = slot().clearance(heli, np.tile([0.0, 0, 12], (4, 1)), upright(heli, np.radians([0, 2, 4, 6])))
+    turns, channels = balanced(heli, np.radians([0, 2, 4, 6]))
+    gaps = slot().clearance(heli, np.tile([0.0, 0, 12], (4, 1)), turns, channels=channels)
     assert ((gaps > 1 - FINEST) == (np.array([0, 2, 4, 6]) >= turned)).all()
     assert not list(marks_too_near(heli, slot(), found, 1.0, 24))
     # a given heading stays

@@ -46,7 +46,7 @@ def test_clearance_is_certified_on_the_exported_motion(flight, helicopter, world
     assert flight.clearance >= 1.5 - 0.01
     times = np.linspace(0, flight.duration, 1500)
     motion = flight.clip.at(times)
-    nearest = world.clearance(helicopter, motion.positions, motion.orientations).min()
+    nearest = world.clearance(helicopter, motion.positions, motion.orientations, channels=motion.channels).min()
     assert nearest >= flight.clearance - 0.01
     assert certify(flight.clip, world, samples=16) == pytest.approx(nearest, abs=0.02)
 

@@ -15,6 +15,7 @@ from vehsim.lie.quaternions import from_yaw, yaw_tilt
 from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import conservative
+from vehsim.world.obstacles.articulated import swings_of
 
 Array = NDArray[np.float64]
 
@@ -89,30 +90,47 @@ def _balancer(vehicle: Vehicle) -> tuple[ca.Function, ca.Function, dict[str, Arr
 
 def upright(vehicle: Vehicle, headings: ArrayLike, wind: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     """Orientations (n, 4) w, x, y, z in which the vehicle rests in the ``wind`` (3,) m/s, at headings (n,) rad: level,
-    or, in flight, in balance.
+    or, in flight, in balance. See `balanced`."""
+    return balanced(vehicle, headings, wind)[0]
 
-    The lean in wind is found at up to `DIRECTIONS` headings, between which it is interpolated by sines and cosines.
+
+def balanced(
+    vehicle: Vehicle, headings: ArrayLike, wind: ArrayLike = (0.0, 0.0, 0.0)
+) -> tuple[Array, dict[str, Array]]:
+    """The orientations of `upright`, and the channels (n,) of parts that turn there, such as a rotor's disc.
+
+    The balance in wind is found at up to `DIRECTIONS` headings, between which it is interpolated by sines and cosines.
     """
     yaw = np.asarray(headings, float)
     if not flies(vehicle):
-        return from_yaw(yaw)
+        return from_yaw(yaw), {}
     if not (vehicle.feels_wind and np.any(wind)):
-        lean = np.repeat(_lean(vehicle, 0.0, (0.0, 0.0, 0.0))[None], len(yaw), axis=0)
+        found = np.repeat(_balance(vehicle, 0.0, (0.0, 0.0, 0.0))[None], len(yaw), axis=0)
     elif len(yaw) <= DIRECTIONS:
-        lean = np.array([_lean(vehicle, angle, wind) for angle in yaw])
+        found = np.array([_balance(vehicle, angle, wind) for angle in yaw])
     else:
-        table = np.fft.rfft([_lean(vehicle, k * 2 * np.pi / DIRECTIONS, wind) for k in range(DIRECTIONS)], axis=0)
+        table = np.fft.rfft([_balance(vehicle, k * 2 * np.pi / DIRECTIONS, wind) for k in range(DIRECTIONS)], axis=0)
         table[1:-1] *= 2  # the negative frequencies
         waves = np.exp(1j * np.outer(yaw, np.arange(len(table))))
-        lean = np.real(waves @ table) / DIRECTIONS
-    return yaw_tilt(yaw, -lean[:, 1], lean[:, 0])
+        found = np.real(waves @ table) / DIRECTIONS
+    roll, pitch, *turned = found.T
+    return yaw_tilt(yaw, -pitch, roll), dict(zip(swings_of(vehicle), turned, strict=True))
 
 
-def _lean(vehicle: Vehicle, yaw: float, wind: ArrayLike) -> Array:
-    """Roll and pitch, nose up (2,) rad, at rest with a heading in a wind; level if no attitude is in balance."""
+def _balance(vehicle: Vehicle, yaw: float, wind: ArrayLike) -> Array:
+    """Roll and pitch, nose up, rad, and the channels of the parts that turn, at rest with a heading in a wind; level if
+    no attitude is in balance."""
     c, s, (x, y, z) = np.cos(yaw), np.sin(yaw), np.asarray(wind, float).tolist()
-    balance = steady(vehicle, (0.0, 0.0, 0.0), (float(c * x + s * y), float(c * y - s * x), z))
-    return np.array([balance.roll, balance.pitch]) if balance.holds else np.zeros(2)
+    balance, swings = (
+        steady(vehicle, (0.0, 0.0, 0.0), (float(c * x + s * y), float(c * y - s * x), z)),
+        swings_of(vehicle),
+    )
+    if not balance.holds:
+        return np.zeros(2 + len(swings))
+    joints, twist = ca.DM.zeros(len(vehicle.joints)), ca.DM.zeros(vehicle.group.dim)
+    laws = [vehicle.channels[name].value for name in swings]
+    turned = [float(law(0.0, joints, joints, twist, ca.DM(balance.controls))) for law in laws if law is not None]
+    return np.array([balance.roll, balance.pitch, *turned])
 
 
 def leans(vehicle: Vehicle) -> float:

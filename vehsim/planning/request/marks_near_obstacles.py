@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.landing import attitude, forgiven
 from vehsim.planning.request.marks import Mark, heading_of, leeway
-from vehsim.planning.trim import leans, upright
+from vehsim.planning.trim import balanced, leans
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.world.ground.walls import Walls
 from vehsim.world.ground.wheels import wheels_of
@@ -210,16 +210,16 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None, wante
     if mark.orientation is None and not rests:
         lean = np.inf if nose is None else _lean(vehicle, world.wind)
     if lean >= MOST_LEAN:
-        obstacles, gaps = _gaps(replace(vehicle, rig=None), world, mark, attitude(mark)[None], seconds)
+        obstacles, gaps = _gaps(replace(vehicle, rig=None), world, mark, attitude(mark)[None], {}, seconds)
         return _Nearest(float(gaps.min()), obstacles[int(gaps.argmin())]) if gaps.min(initial=np.inf) <= 0 else None
     points, found = np.vstack(hulls_of(vehicle)) if vehicle.rig else np.zeros((1, 3)), None
     turned = rests and nose is None
     headings, width = (_HEADINGS, 2 * np.pi / TURNS) if turned else (np.array([nose or 0.0]), 0.0)
     reach, sideways = (float(np.linalg.norm(points[:, :n], axis=1).max()) for n in (3, 2))
     while True:
-        balanced = mark.orientation is None and rests
-        turns = upright(vehicle, headings, world.wind) if balanced else attitude(mark)[None]
-        obstacles, gaps = _gaps(vehicle, world, mark, turns, seconds)
+        in_balance = mark.orientation is None and rests
+        turns, channels = balanced(vehicle, headings, world.wind) if in_balance else (attitude(mark)[None], {})
+        obstacles, gaps = _gaps(vehicle, world, mark, turns, channels, seconds)
         if not obstacles:
             return None
         spare, least = width / 2 * sideways + lean * reach, gaps.min(axis=1)
@@ -233,15 +233,18 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None, wante
         width /= 4
 
 
-def _gaps(vehicle: Vehicle, world: Any, mark: Any, turns: Array, seconds: float | None) -> tuple[list[Any], Array]:
-    """What is near a mark, None for rock, and the distances from it with orientations (n, 4), (n, obstacles) m."""
+def _gaps(
+    vehicle: Vehicle, world: Any, mark: Any, turns: Array, channels: Mapping[str, Array], seconds: float | None
+) -> tuple[list[Any], Array]:
+    """What is near a mark, None for rock, and the distances from it with orientations (n, 4) and channels (n,),
+    (n, obstacles) m."""
     places = np.repeat(np.array([mark.position], float), len(turns), axis=0)
     obstacles, gaps = [], np.empty((len(turns), 0))
     if world.terrain is not None and not world.terrain.below(places[:1])[0]:  # routes and shots report a root in rock
-        obstacles, gaps = [None], world.clearance_from_terrain(vehicle, places, turns)[:, None]
+        obstacles, gaps = [None], world.clearance_from_terrain(vehicle, places, turns, channels)[:, None]
     if world.standing or (world.obstacles and seconds is not None):
         times = None if seconds is None else np.full(len(turns), seconds)
-        gaps = np.hstack([gaps, world.clearance_by_obstacle(vehicle, places, turns, times)])
+        gaps = np.hstack([gaps, world.clearance_by_obstacle(vehicle, places, turns, times, channels)])
         obstacles += world.obstacles
     return obstacles, gaps
 
