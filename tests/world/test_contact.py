@@ -9,6 +9,7 @@ from pxr import Usd, UsdGeom, UsdPhysics
 import vehsim
 from vehsim.errors import InputError
 from vehsim.lie import SE3, SO3xR3
+from vehsim.lie.quaternions import rotate as from_body
 from vehsim.rig.parts import collision_hulls
 from vehsim.simulation import Mover, simulate_together
 from vehsim.vehicles import Holonomic, Rig, State
@@ -17,6 +18,7 @@ from vehsim.world.contact.bodies import MovingBody
 from vehsim.world.contact.contact import Contact, ContactScene, damping_ratio
 from vehsim.world.obstacles.obstacles import box, moving
 from vehsim.world.terrain.terrain import Terrain
+from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.world import World
 
 FLOOR = box("floor", (0, 0, -1), (400, 400, 1))
@@ -184,6 +186,52 @@ def test_a_boat_on_a_beach_rests_until_it_is_touched(block):
     resting = (clip.times > 1.6) & (clip.times < 2.0)  # until the ram begins to move
     assert touch > 2.0 and not clip.twists[resting].any()
     assert clip.positions[-1, 1] > 0.15 and clip.twists[-1, 4] > 1.0
+
+
+def test_a_resting_boat_costs_nothing_on_still_water(monkeypatch):
+    """Neither ground nor water is evaluated again, and its contact goes on: the impulse is its weight without its
+    buoyancy, times the time."""
+    x = np.arange(-60.0, 61.0, 2.0)
+    beach = Terrain("beach", np.tile(0.1 * (x - 10), (len(x), 1)), (-60, -60), (2, 2))
+    boat, world = vehsim.load_vehicle("boat"), World(beach, water=0.0, contact=Contact(0.4, 0.1, 1.5))
+    start = State(position=(5.4855, 0, 0.052), orientation=(1, 0, 9.1e-4, 0))
+    evaluations = {"contact": 0, "water": 0}
+
+    def count(kind, method):
+        def counted(*given):
+            evaluations[kind] += 1
+            return method(*given)
+
+        return counted
+
+    monkeypatch.setattr(ContactScene, "_touching", count("contact", ContactScene._touching))
+    monkeypatch.setattr(Afloat, "under", count("water", Afloat.under))
+    needed, impulses = [], []
+    for duration in (1.0, 6.0):
+        evaluations.update(contact=0, water=0)
+        clip = vehsim.simulate(boat, world, (0.0, 0.0), start, duration=duration, step=1 / 48)
+        (event,) = clip.events
+        needed.append(dict(evaluations))
+        impulses.append(event["impulse"])
+        assert event["time"] + event["duration"] == pytest.approx(duration, abs=0.02)
+    assert needed[0] == needed[1] and not clip.twists[clip.times > 1.0].any()
+    afloat = Afloat(boat, world)
+    wrench = afloat.wrench(0.0, clip.state(-1), np.zeros(2))
+    weight = boat.inertia[5, 5] * 9.81 - from_body(clip.orientations[-1], wrench[3:])[2]
+    assert (impulses[1] - impulses[0]) / 5.0 == pytest.approx(weight, rel=0.02)
+
+
+def test_a_body_that_rocks_is_as_slow_as_its_points():
+    """Not as a sphere around it: a boat on its keel has come to rest although its bow is far from its middle."""
+    boat = vehsim.load_vehicle("boat")
+    scene = ContactScene({"boat": boat}, World(obstacles=[FLOOR]), Contact())
+    points = np.concatenate(collision_hulls(boat.rig.asset, boat.rig.root or None))
+    for twist in np.random.default_rng(2).normal(size=(20, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]:
+        fastest = np.linalg.norm(twist[3:] + np.cross(twist[:3], points), axis=1).max()
+        moving_body = MovingBody(scene.bodies[0], State(position=(1, 2, 3), orientation=(0.6, 0.8, 0, 0), twist=twist))
+        assert fastest <= moving_body.speed < 1.5 * fastest
+    rocking = MovingBody(scene.bodies[0], State(twist=(1.0, 0, 0, 0, 0, 0)))
+    assert rocking.speed < 0.3 * (rocking.fastest - 0.5)
 
 
 def test_depth_stays_below_two_centimetres_in_any_landing(block):

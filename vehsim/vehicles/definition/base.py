@@ -55,6 +55,10 @@ class State:
     joints: Any = None
     joint_rates: Any = None
 
+    def same(self, other: State) -> bool:
+        """Whether every number is the same."""
+        return all(np.array_equal(mine, getattr(other, part)) for part, mine in vars(self).items())
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Definition:

@@ -23,12 +23,14 @@ ALLOWANCE = 0.5
 
 @dataclass(frozen=True)
 class Body:
-    """A vehicle in the scene: the indices of its joint and body in the model, its inertia and body frame."""
+    """A vehicle in the scene: the index of its joint in the model, the corners (8, 3) of a box around its hulls, m from
+    its root, and its inertia."""
 
     name: str
     vehicle: Any
     joint: int
     reach: float
+    corners: Array
     inverse_inertia: Array
 
 
@@ -43,7 +45,8 @@ class MovingObstacle:
 
 
 class MovingBody:
-    """A vehicle at a public state; gives its points in world axes."""
+    """A vehicle at a public state; gives its points in world axes. ``speed`` m/s: none of them is faster now;
+    ``fastest``: until the next evaluation."""
 
     def __init__(self, body: Body, state: State) -> None:
         self.body = body
@@ -52,6 +55,7 @@ class MovingBody:
         twist = np.asarray(state.twist, float)
         self.R_wr = matrices(self.orientation)
         self.omega, self.v = self.R_wr @ twist[:3], self.R_wr @ twist[3:]
+        self.speed = float(np.linalg.norm(twist[3:] + cross(twist[:3], body.corners), axis=1).max())
         self.centre = self.position + self.R_wr @ body.vehicle.origin
         self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * body.reach) + ALLOWANCE
 
@@ -70,7 +74,8 @@ class MovingBody:
 
 
 class Led:
-    """A moving obstacle at a time, s since frame 0; it counts as infinitely heavy."""
+    """A moving obstacle at a time, s since frame 0; it counts as infinitely heavy. ``speed``, ``fastest`` as of a
+    `MovingBody`."""
 
     def __init__(self, moving: MovingObstacle, seconds: float) -> None:
         self.body = moving
@@ -83,7 +88,8 @@ class Led:
         self.position, self.orientation, self.v = motion.positions[0], motion.orientations[0], v
         self.centre, self.R_wr = self.position, matrices(self.orientation)
         self.omega = self.R_wr @ omega
-        self.fastest = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * moving.reach) + ALLOWANCE
+        self.speed = float(np.linalg.norm(self.v) + np.linalg.norm(self.omega) * 2 * moving.reach)
+        self.fastest = self.speed + ALLOWANCE
 
     def velocity(self, places: Array) -> Array:
         return np.asarray(self.v + cross(self.omega, places - self.position))
