@@ -2,6 +2,7 @@
 
 import asyncio
 import tomllib
+from itertools import groupby
 
 import pytest
 
@@ -40,6 +41,15 @@ def test_settings_come_from_the_models():
     assert found["world.water.wave[0].height"].value == 1 and found["camera.rig"].default == "chase"
     assert found["camera.lens_mm"].value == 50
     assert not any(one.endswith(("file", "path", "name")) for one in found)  # no texts
+
+
+@pytest.mark.parametrize("method", ["plan", "sinusoid"])
+def test_a_table_is_listed_once_and_before_those_in_it(method):
+    """Each is a group of the panel, and a motion's own settings come before those of its marks."""
+    found = listed(SHOT.replace('"plan"\nsegments = 8', f'"{method}"'))
+    groups = [name for name, _ in groupby(one.table for one in found.values())]
+    assert len(groups) == len(set(groups)) > 5
+    assert groups.index("vehicle car, motion") < groups.index("vehicle car, motion, mark 1 at 1001")
 
 
 def test_weights_of_a_cost_and_liveries_are_settings():

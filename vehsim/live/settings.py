@@ -156,7 +156,7 @@ class _Leaf:
 
 
 def _leaves(key: str, node: Mapping[str, Any], data: Any) -> Iterator[_Leaf]:
-    """Those of a table, or of each table in a list."""
+    """Those of a table, its own before those of tables in it, or of each table in a list."""
     if isinstance(data, list):
         for k, one in enumerate(data):
             yield from _leaves(f"{key}[{k}]", node, one)
@@ -166,6 +166,7 @@ def _leaves(key: str, node: Mapping[str, Any], data: Any) -> Iterator[_Leaf]:
     for form in _forms(node, data):
         if form.get("type") == "array":
             yield from _leaves(key, form["items"], data)
+        below: list[tuple[str, Mapping[str, Any], Any]] = []
         for name, child in form.get("properties", {}).items():
             place, value = f"{key}.{name}".lstrip("."), data.get(name)
             forms = list(_forms(child, value))
@@ -173,10 +174,11 @@ def _leaves(key: str, node: Mapping[str, Any], data: Any) -> Iterator[_Leaf]:
             if not placed and (
                 isinstance(value, dict | list) or (value is None and "default" in child and _is_open(forms))
             ):
-                for one in forms:
-                    yield from _leaves(place, one, value or {})
+                below += [(place, one, value or {}) for one in forms]
                 continue
             yield _Leaf(place, name, child, forms, data, form["properties"])
+        for table in below:
+            yield from _leaves(*table)
 
 
 def _is_open(forms: list[Mapping[str, Any]]) -> bool:
