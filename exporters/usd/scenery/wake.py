@@ -172,8 +172,12 @@ class _Waves:
         self._kx = 2 * np.pi * np.fft.rfftfreq(columns, CELL)[None]
         self._ky = 2 * np.pi * np.fft.fftfreq(rows, CELL)[:, None]
         self._omega = np.sqrt(GRAVITY * np.maximum(np.hypot(self._kx, self._ky), 1e-9))
+        # transform of cubic B-splines on the cells: values over it are the coefficients of the spline through them
+        self._splines = (2 + np.cos(self._kx * CELL)) * (2 + np.cos(self._ky * CELL)) / 9
         fade = np.exp(-dt / FADE)
-        self._cos, self._sin = fade * np.cos(self._omega * dt), fade * np.sin(self._omega * dt)
+        turn = self._omega * dt
+        self._cos = fade * np.cos(turn)
+        self._from_rate, self._to_rate = fade * np.sin(turn) / self._omega, fade * np.sin(turn) * self._omega
         self._rate = np.zeros(self._omega.shape, complex)
         # as if the vehicles had always moved straight at their initial speed
         self._eta = -self._depth(0, BEFORE)
@@ -187,7 +191,7 @@ class _Waves:
             depth = self._depth(k)
             self._advance(depth)
             # the hull itself fills the depression, so a vehicle at rest leaves no trace
-            yield partial(self._at, k, np.fft.irfft2(self._eta + depth, self.box.shape))
+            yield partial(self._at, k, np.fft.irfft2((self._eta + depth) / self._splines, self.box.shape))
 
     def _follow(self, k: int) -> None:
         """Move the waves within the box when it moves; those that leave it are lost."""
@@ -208,9 +212,9 @@ class _Waves:
     def _advance(self, depth: Array) -> None:
         """Advance by one frame under constant pressures, exactly, with decay; ``depth``: of the depression at which the
         pressures would be in equilibrium, p / (rho g)."""
-        off, rate = self._eta + depth, self._rate / self._omega
-        self._eta = self._cos * off + self._sin * rate - depth
-        self._rate = self._omega * (self._cos * rate - self._sin * off)
+        off = self._eta + depth
+        self._eta = self._cos * off + self._from_rate * self._rate - depth
+        self._rate = self._cos * self._rate - self._to_rate * off
 
     def _depth(self, k: int, before: float = 0.0) -> Array:
         """Transform of the depth of water with the weight that it carries of the vehicles in the ``k``-th frame, as
@@ -227,15 +231,17 @@ class _Waves:
             total += vehicle.bears(k) * vehicle.volume / CELL**2 * blot * moved
         return total
 
-    def _at(self, k: int, field: Array, xy: Array) -> Array:
-        """Values (n,) of the ``k``-th frame's field at ``xy`` (n, 2) m."""
+    def _at(self, k: int, coefficients: Array, xy: Array) -> Array:
+        """Values (n,) of the ``k``-th frame's spline at ``xy`` (n, 2) m."""
         from scipy.ndimage import map_coordinates
 
         share = self.box.share(k, xy)
         seen = share > 0
         where = (xy[seen] - self.box.lower[k]) / CELL
         values = np.zeros(len(xy))
-        values[seen] = share[seen] * map_coordinates(field, where[:, ::-1].T, order=3, mode="nearest")
+        values[seen] = share[seen] * map_coordinates(
+            coefficients, where[:, ::-1].T, order=3, mode="nearest", prefilter=False
+        )
         return values
 
 
