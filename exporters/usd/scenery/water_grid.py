@@ -120,6 +120,11 @@ class Grid:
         return np.concatenate(quads), np.concatenate([none, *triangles])
 
     @cached_property
+    def _corners(self) -> Indices:
+        """First, second and third corners (3, m) of the triangles."""
+        return np.ascontiguousarray(self.triangles.T)
+
+    @cached_property
     def _gather(self) -> Any:
         """Sums (points, triangles) what triangles give to their corners."""
         from scipy.sparse import csr_array
@@ -130,8 +135,10 @@ class Grid:
 
     def normals(self, points: Array) -> Array:
         """Unit normals (n, 3) of points (n, 3) that the grid moved to: of the faces around each, by their areas."""
-        a, b, c = np.moveaxis(points[self.triangles], 1, 0)
-        normals = self._gather @ np.cross(b - a, c - a)
+        columns = np.ascontiguousarray(points.T)
+        a, b, c = (columns[:, corner] for corner in self._corners)
+        (ux, uy, uz), (vx, vy, vz) = b - a, c - a  # np.cross takes twice as long
+        normals = self._gather @ np.column_stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx])
         return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
