@@ -44,8 +44,8 @@ TOP = [
     "# Planning beside other tools, measured",
     "",
     "CPU time of the fastest of the others over ours: more than 1 means that ours is faster. *Total* compares with",
-    "`vehsim.plan`, which also refines, executes and audits; *one solve* and *prebuilt* with one solve of ours by IPOPT,",
-    "as in plans, or by fatrop.",
+    "`vehsim.plan`, which also refines, executes and audits; *one solve* and *prebuilt* with one solve of ours, by",
+    "IPOPT, as in plans, or by fatrop.",
     "",
     "| problem | Drake, total | CasADi, total | CasADi, total, one solve | CasADi Hermite-Simpson, prebuilt "
     "| CasADi shooting, prebuilt | the same over our fatrop |",
