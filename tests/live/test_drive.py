@@ -110,6 +110,15 @@ def test_a_recording_continues_without_a_seam(tmp_path, asset, world):
     assert abs(second.twists[-1, ahead] - clip.twists[-1, ahead]) > 0.05  # a boat's engine follows late
 
 
+def test_a_recording_is_not_cut_short_by_a_continuation_that_ends_before_it_begins(tmp_path):
+    """On a slow machine, it takes a while to play it up to the frame where one drives on."""
+    shot = shot_of(tmp_path, "car", STILL)
+    made, _ = Hand({8: [1.0, 0.0]}, 66).drive(shot, shot.solve().clips)
+    again = kept(tmp_path, shot, made)
+    with pytest.raises(InputError, match=r"nothing was recorded; wait until .* frame 1006"):
+        Hand({}, 30).drive(again, again.solve().clips, since=1006)
+
+
 def test_a_slow_simulation_sets_the_clock_back(tmp_path):
     shot = shot_of(tmp_path, "car", STILL)
     hand = Hand({}, 66)

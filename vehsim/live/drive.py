@@ -342,6 +342,9 @@ def record(
     whole = frames <= np.floor(frames[-1:])
     if whole.sum() < 2:
         raise InputError("nothing was recorded", "drive for at least one frame", key=name)
+    if problem is None and since is not None and frames[-1] <= since:  # it would be the old recording, cut short
+        remedy = f"wait until the recording has been played up to frame {since}, then drive"
+        raise InputError("nothing was recorded", remedy, key=name)
     return Recording(keys, frames[whole], np.array(driver.rows)[whole], problem)
 
 
