@@ -103,6 +103,22 @@ def test_pieces_on_a_plane_of_two_faces_stay_open(names, thick, tmp_path):
         np.testing.assert_array_equal(terrain.below(np.array([[56, 65, 3], [51, 65, 3], [56, 65, 6.5]])), [0, 1, 1])
 
 
+def test_rock_on_the_middle_of_a_large_face_leaves_the_rest_of_it_ground(tmp_path):
+    """Boxes stand on a plane of two faces, one of them on a face's middle: rock is what is in a box, and the lowest
+    ground is the plane where it is free."""
+    boxes = [((-80, -80, -4), (160, 80, 0)), ((70, -30, 0), (90, -5, 40))]
+    boxes += [((30, -16, 0), (42, -10, 34)), ((30, 10, 0), (42, 16, 34)), ((30, -16, 26), (42, 16, 34))]
+    trimesh.util.concatenate([box(*corners) for corners in boxes]).export(tmp_path / "gate.obj")
+    terrain = Terrain.load(tmp_path / "gate.obj")
+    points = np.random.default_rng(0).uniform((-79, -79, -3), (159, 79, 38), (20000, 3))
+    np.testing.assert_array_equal(terrain.below(points), in_boxes(points, *boxes))
+    through = [[36, 0], [36, -9], [36, 9], [60, -20], [100, -60]]
+    np.testing.assert_allclose(terrain.height(through), 0, atol=1e-9)
+    np.testing.assert_allclose(terrain.height([[80, -20], [36, -13]]), [40, 34], atol=1e-9)
+    route = World(terrain).route((-40, 0, 12), (110, 14, 14), 3.0)
+    assert np.abs(route[(route[:, 0] > 30) & (route[:, 0] < 42), 1]).max() < 7  # through the gate
+
+
 @pytest.mark.parametrize("suffix", ["stl", "ply", "glb"])
 def test_every_format_keeps_the_arch_open(meshes, tmp_path, suffix):
     mesh = meshes["arch"].copy()

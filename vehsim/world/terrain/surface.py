@@ -25,6 +25,8 @@ ABOVE = 1e-3
 """Height above a face at which a point has to be free for the face to be ground, m."""
 LIFT = np.array([0.0, 0.0, ABOVE])
 
+LARGE = 0.01
+"""Longest edge of a face that is ground as a whole or not at all, as a share of the terrain's width."""
 LEVELS = 8
 """Largest number of levels of ground at a place."""
 
@@ -79,8 +81,18 @@ class TerrainSurface:
 
     @cached_property
     def ground(self) -> Faces:
-        """The faces (k, 3) on which something can stand: they look up, and the space above them is free."""
-        return np.ascontiguousarray(self.faces[self.is_ground(self.points[self.faces])])
+        """The faces (k, 3) on which something can stand: they look up, and the space above their middle is free, or
+        above a part of a large one."""
+        corners = self.points[self.faces]
+        found = looks_up(corners)
+        small = found & ~self._large(corners)
+        found[small] = self.free_above(corners[small].mean(axis=1))
+        return np.ascontiguousarray(self.faces[found])
+
+    def _large(self, corners: Array) -> NDArray[np.bool_]:
+        """Whether faces (n, 3, 3) m are so large that rock may stand on a part of them, as a pillar on a plane."""
+        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        return np.asarray(edges > LARGE * np.ptp(self.points[:, :2], axis=0).max())
 
     def is_ground(self, corners: Array) -> NDArray[np.bool_]:
         """Whether something can stand on pieces (n, 3, 3) m of its faces, (n,)."""
@@ -98,24 +110,7 @@ class TerrainSurface:
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         inset = 1e-7 * (high - low)[:2]  # a ray exactly along a border could miss
         inner = np.clip(xy, low[:2] + inset, high[:2] - inset)
-        found = self._ground_along(np.column_stack([inner, np.full(len(xy), low[2] - BELOW)]), 1.0)
-        if self._is_one_piece:
-            return found
-        for _ in range(LEVELS):  # a piece that stands on another, such as a pillar on a plane, covers part of a face
-            places = np.column_stack([inner, found])
-            covered = np.isfinite(found)
-            covered[covered] = ~self.free_above(places[covered])
-            if not covered.any():
-                break
-            found[covered] = self._ground_along(places[covered] + LIFT, 1.0)
-        return found
-
-    @cached_property
-    def _is_one_piece(self) -> bool:
-        """Whether all faces hang together, so that no rock stands on a part of a face of the ground."""
-        import igl
-
-        return int(igl.vertex_components(self.faces).max()) == 0
+        return self._ground_along(np.column_stack([inner, np.full(len(xy), low[2] - BELOW)]), 1.0)
 
     def ground_below(self, points: Array) -> Array:
         """Height (n,) m of the first ground below points (n, 3) m or up to `TOUCHED` above them; nan where there is
@@ -143,9 +138,20 @@ class TerrainSurface:
         none."""
         if not len(points) or not len(self.ground):
             return np.full(len(points), np.nan)
-        rays = np.tile([0.0, 0.0, direction], (len(points), 1))
-        hit, _, _ = self._ground_tree.intersect_ray_first(self.points, self.ground, np.ascontiguousarray(points), rays)
-        return np.where(np.asarray(hit) >= 0, heights_on(self.points[self.ground[hit]], points), np.nan)
+        found, left = np.full(len(points), np.nan), np.arange(len(points))
+        for _ in range(LEVELS):
+            rays, points = np.tile([0.0, 0.0, direction], (len(points), 1)), np.ascontiguousarray(points)
+            hit, _, _ = self._ground_tree.intersect_ray_first(self.points, self.ground, points, rays)
+            met = np.asarray(hit) >= 0
+            corners, left = self.points[self.ground[hit[met]]], left[met]
+            places = np.column_stack([points[met, :2], heights_on(corners, points[met])])
+            covered = self._large(corners)
+            covered[covered] = ~self.free_above(places[covered])
+            found[left[~covered]] = places[~covered, 2]
+            left, points = left[covered], places[covered] + direction * LIFT
+            if not len(left):
+                break
+        return found
 
     @cached_property
     def _ground_tree(self) -> Any:
