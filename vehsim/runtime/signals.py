@@ -27,7 +27,8 @@ def raising(error: type[BaseException], once: bool = False) -> Callable[[int, An
 
     def stop(number: int, frame: Any) -> None:
         if _loads_usd(frame):
-            _thread.start_new_thread(_again, (number,))  # take no lock: the interrupted code may hold it
+            # take no lock: the interrupted code may hold it
+            _thread.start_new_thread(_again, (number, _thread.get_ident()))
             return
         if once:
             signal.signal(number, signal.SIG_IGN)
@@ -44,9 +45,13 @@ def _loads_usd(frame: Any) -> bool:
     return False
 
 
-def _again(number: int) -> None:
+def _again(number: int, thread: int) -> None:
+    """Repeat a signal to the main ``thread`` a little later."""
     time.sleep(0.02)
-    _thread.interrupt_main(signal.Signals(number))
+    if hasattr(signal, "pthread_kill"):  # it also wakes a thread that waits in a system call
+        signal.pthread_kill(thread, number)
+    else:
+        _thread.interrupt_main(signal.Signals(number))
 
 
 @contextmanager
