@@ -219,7 +219,7 @@ def test_a_car_that_is_driven_into_a_wall_is_refused_by_the_wall(tmp_path: Path)
         world = {"terrain": str(tmp_path / "cliff.obj")}
         return Shot.from_dict(data | {"shot": {"schema": 1, "name": "over"}, "world": world})
 
-    with pytest.raises(SolveError, match=r"heli: world.terrain = .*cliff.obj.*rock of the terrain at .*, -3.* plan"):
+    with pytest.raises(SolveError, match=r"heli: world.terrain = .*rock of the terrain at .*, -3.* plan"):
         driven(0, -90).solve()
     with pytest.warns(UserWarning, match=r"heli: reaches into the rock of the terrain at .* keep away"):
         driven(-2.2, 0).solve()

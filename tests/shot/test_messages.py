@@ -146,6 +146,7 @@ method = "simulate"
 duration = 1
 step = 0.01
 commands = [{ frame = 1001, torque = 1 }]
+continues = "earlier.npz"
 pilot = { name = "hover", position = [0, 0, 0] }
 [vehicle.motion.start]
 position = [0, 0, 0]

@@ -11,7 +11,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.intake.reader import Answer, read_cached
 from vehsim.intake.usd import SUFFIXES, open_stage
+from vehsim.rig.rig import DISC_PITCH, DISC_ROLL
 
 if TYPE_CHECKING:
     from vehsim.rig.parts import Part
@@ -503,7 +504,8 @@ def _rotorcraft(found: Inspection) -> tuple[str, str] | None:
     lift = GRAVITY * mass
     behind = max(centre[0] - (tail.centre[0] if tail else found.bounds[0, 0]), 0.1)
     above = max(main.centre[2] - centre[2], 0.05)
-    channels = _channel("main_rotor", main, up=True) + (_channel("tail_rotor", tail) if tail else "")
+    channels = _disc(main, found.parts) + _channel("main_rotor", main, aim=AXES[2])
+    channels += _channel("tail_rotor", tail) if tail else ""
     return (
         "helicopter",
         f"""\
@@ -600,13 +602,22 @@ def _mass(found: Inspection, density: float) -> float:
     return float(_weighed(found, density)[0])
 
 
-def _channel(name: str, one: Round, steer: bool = False, up: bool = False) -> str:
-    """``[channels.NAME]``: wheels roll about the axis to the left, steering and rotors turn about the vertical axis."""
+def _disc(one: Round, parts: Sequence[Part]) -> str:
+    """The channels that tilt the disc of a rotor about the axes to the left and ahead."""
+    frame, text = next(part.T_rp for part in parts if part.path == one.spin), ""
+    for name, aim in ((DISC_PITCH, AXES[1]), (DISC_ROLL, AXES[0])):
+        k = int(np.argmax(np.abs(aim @ frame[:3, :3])))
+        text += _channel(name, replace(one, op="XYZ"[k], axis=frame[:3, k]), aim=aim)
+    return text
+
+
+def _channel(name: str, one: Round, steer: bool = False, aim: Array = AXES[1]) -> str:
+    """``[channels.NAME]``: wheels roll about the axis to the left, ``aim``; steering turns about the vertical axis."""
     prim, letter, axis = (one.steer if steer else one.spin), one.op, one.axis
-    aim = AXES[2] if steer or up else AXES[1]
     lines = [f"[channels.{name}]", f"prim = {_toml(prim)}"]
     if steer:
         letter, axis = one.up
+        aim = AXES[2]
     lines.append(f'op = "rotate{letter}"')
     if not one.pivoted:
         lines.append(f"pivot = [{', '.join(_digits(x) for x in one.centre)}]  # m: the prim's own pivot is elsewhere")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.lie.quaternions import matrices, quaternions
-from vehsim.rig.ops import bounds, parts_of
+from vehsim.rig.ops import bounds, frames_of
 from vehsim.rig.rig import Rig
 
 Array = NDArray[np.float64]
@@ -50,8 +50,7 @@ class Screw:
 
 def screws(rig: Rig, path: str) -> tuple[Screw, ...]:
     """The drives that move the part at ``path``, the outermost first."""
-    frames = {part.path: part.T_rp for part in parts_of(rig)}
-    found = []
+    frames, found = frames_of(rig), []
     for name, drive in rig.drives.items():
         if drive.prim not in frames or not f"{path}/".startswith(f"{drive.prim}/"):
             continue

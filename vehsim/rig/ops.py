@@ -7,7 +7,8 @@ and before the ops that shape its mesh, with values in the prim's own units.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -380,6 +381,21 @@ def parts_of(rig: Rig) -> Sequence[Part]:
     """The parts of a rig's asset, read once."""
     found: Sequence[Part] = _read(Path(rig.asset), rig.root or None, stamp(rig.asset))
     return found
+
+
+def frames_of(rig: Rig) -> Mapping[str, Array]:
+    """The frames ``T_rp`` (4, 4) of a rig's parts at rest, by path. They are cached, so that USD need not be loaded."""
+    found: Mapping[str, Array] = _read_frames(Path(rig.asset), rig.root or None, stamp(rig.asset))
+    return found
+
+
+@lru_cache(maxsize=8)
+def _read_frames(asset: Path, root: str | None, written: Stamp) -> Any:
+    from vehsim.rig.parts import solids
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of hulls, which do not count here
+        return {solid.path: solid.T_rp for solid in solids(asset, root)}
 
 
 @lru_cache(maxsize=8)
