@@ -200,8 +200,11 @@ def test_a_browser_that_comes_after_a_drag_gets_the_scene(path):
             await first.until("draft")
             async with browser(address) as second:
                 await second.until("scene")
-            await first.until("progress", lambda message: message["text"] == "drawing")
-            await first.until("state")  # which says what the page shows now
+            drafted = len(first.seen)
+            await first.send(kind="unknown")
+            await first.until("refused")  # the answer comes after all that was told before
+            told = [kind for kind in first.seen[drafted:] if kind in ("progress", "state")]
+            assert told[-1:] == ["state"]  # a page that hears of progress last says "drawing" for ever
 
     asyncio.run(play())
 
