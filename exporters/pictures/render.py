@@ -20,7 +20,7 @@ from vehsim.exporters.pictures.grain import grained, strengths_of
 from vehsim.exporters.pictures.motion_passes import Pixels
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.spray import draw_spray
-from vehsim.exporters.pictures.water import WaterView, distance_of, places_of
+from vehsim.exporters.pictures.water import ON_WATER, WaterView, distance_of, places_of
 from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for
 from vehsim.exporters.usd.stage import Shape, StageReader
 
@@ -220,6 +220,9 @@ class StageRenderer:
         from scipy.ndimage import grey_dilation
 
         picture = picture[::-1].copy()  # bottom row first, as the depth
+        strength = np.ones(picture.shape[:2])
+        if self._water is not None:
+            strength[self._canvas.draw_ids(self.size) == self._model.geom("water").id] = ON_WATER
         poses = self.stage.matrices(frame)
         for root in self._shades.roots:
             shade, T_wr = self._shades[root], poses[root]
@@ -228,7 +231,7 @@ class StageRenderer:
                 continue
             places, distance = self._places(depth, camera, frame, part)
             clear = (self._haze_end - distance) / (self._haze_end - HAZE[0])
-            lost = shade.at((places - T_wr[:3, 3]) @ T_wr[:3, :3]) * np.clip(clear, 0, 1)
+            lost = strength[part] * shade.at((places - T_wr[:3, 3]) @ T_wr[:3, :3]) * np.clip(clear, 0, 1)
             lost *= np.clip(2 * T_wr[2, 2] - 1, 0, 1)  # the ground is not below a vehicle that lies on its side
             lost = np.maximum(lost, grey_dilation(lost, 3) / 2)  # pixels that show ground and vehicle
             picture[part] = (picture[part] * (1 - lost[..., None])).round()

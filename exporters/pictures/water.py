@@ -37,8 +37,8 @@ BUBBLES = np.array([0.05, 0.17, 0.17])
 """Linear colour of water with bubbles in it, under foam and around it."""
 EDGE = 4
 """Texels around the used part of the texture that repeat its border: smaller copies of the texture blend over it."""
-RIPPLES, RIPPLES_END = 10, 58.5
-"""Ripples that only the texture has, and the distance up to which the last of them are visible, m."""
+RIPPLES, RIPPLE_LENGTHS, RIPPLES_END = 18, (0.16, 1.8), 58.5
+"""Ripples that only the texture has, their lengths m, and the distance up to which the last of them are visible, m."""
 SLOPES, FAR = 0.22, (25.0, 160.0)
 """Effect of waves too distant to be distinguished: between the distances ``FAR``, m, more and more of the visible faces
 are tilted by up to ``SLOPES`` towards the eye. So a sea is darker than the sky at its horizon."""
@@ -46,6 +46,8 @@ WET, WETNESS = 0.15, 0.55
 """Height of the dark line above the water, m, and the share of light that remains there."""
 NEAR = 60.0
 """Largest distance at which wet lines are drawn, m."""
+ON_WATER = 0.4
+"""Share of a vehicle's shade that water shows: it mirrors the hull's own light, and its depths are lit from around."""
 HULL = 1.5
 """Pixels this close to water lowered inside a hull belong to the hull, m."""
 
@@ -128,7 +130,7 @@ class WaterView:
         # water removes little light: most of the visible light is mirrored.
         self._lit = 1.0 + shadows * overhead * light.sun
         rng = np.random.default_rng(3)
-        heading, length = rng.uniform(0, 2 * np.pi, RIPPLES), np.geomspace(0.35, 1.8, RIPPLES)
+        heading, length = rng.uniform(0, 2 * np.pi, RIPPLES), np.geomspace(*RIPPLE_LENGTHS, RIPPLES)
         self._ripples = 2 * np.pi / length * np.stack([np.cos(heading), np.sin(heading)])
         self._phases = rng.uniform(0, 2 * np.pi, RIPPLES)
 
@@ -219,7 +221,7 @@ class WaterView:
 
     def _picture(self, texels: Texels, eye: NDArray[np.float32]) -> NDArray[np.uint8]:
         """The appearance of the texels (n, 3)."""
-        fields = np.column_stack([self._points, self._normals, self._rest, self._foam])
+        fields = np.column_stack([self._points, self._normals, self._anchors(), self._foam])
         points, normals, rest, (foam,) = np.split(texels.between(fields), [3, 6, 8])
         away = _length(points[:2] - eye[:2, None])
         normals[:2] -= self._small_slopes(points, away, texels.size)
@@ -247,6 +249,16 @@ class WaterView:
         display = to_srgb(np.clip(colour * self._exposure, 0, 1)) / self._lit.astype(np.float32)
         return np.asarray(np.round(255 * np.clip(display, 0, 1)), np.uint8)
 
+    def _anchors(self) -> Array:
+        """Rest positions (n, 2) m of the water at the points. Those at hulls have moved to the skin, past the water:
+        they get the drift of the points around them, or foam would be stretched there."""
+        from scipy.ndimage import median_filter
+
+        place = self._points[:, :2]
+        drift = (place - self._rest).reshape(*self.shape, 2)
+        around = np.stack([median_filter(drift[..., k], 5) for k in (0, 1)], axis=-1)
+        return np.asarray(place - around.reshape(-1, 2))
+
     def _small_slopes(self, points: Array, away: Array, size: Array) -> Array:
         """Slopes (2, m) of ripples, which fade with the distance, and where texels of ``size`` (m,) m cannot show
         them."""
@@ -257,7 +269,7 @@ class WaterView:
         for (kx, ky), phase in zip(self._ripples.T.tolist(), self._phases.tolist(), strict=True):
             k = math.hypot(kx, ky)
             wave = np.cos(x * kx + (y * ky + (phase - math.sqrt(GRAVITY * k) * seconds) % (2 * math.pi)))
-            wave *= np.clip(2 * math.pi / k / size[near] / 2 - 1, 0, 1)
+            wave *= np.clip(2 * math.pi / k / size[near] / 3 - 1, 0, 1)
             slopes[0, near] += wave * (kx / k)
             slopes[1, near] += wave * (ky / k)
         return np.asarray(0.035 * slopes * np.clip((RIPPLES_END - away) / 45.0, 0, 1))

@@ -319,6 +319,52 @@ def test_foam_is_in_primvars_that_any_renderer_reads(shown):
         assert primvars.HasPrimvar(source.GetInput("varname").Get())
 
 
+@pytest.mark.parametrize("foam", [0.05, 0.3, 0.6, 0.9])
+def test_foam_is_as_dense_from_near_as_from_afar_and_has_soft_edges(foam):
+    """Over a whole tile its mean is the foam itself, which distant water shows; much of it is thin."""
+    from vehsim.exporters.usd.scenery.water_material import LACE_SIDE, patches
+
+    x, y = np.moveaxis(np.indices((400, 400)) * LACE_SIDE / 400, 0, 0).reshape(2, -1)
+    near, afar = (patches(np.stack([x, y]), np.full(x.size, foam), size) for size in (0.01, 100.0))
+    assert np.ptp(afar) == 0 and near.mean() == pytest.approx(afar.mean(), abs=0.07)
+    white, thin = near > 0.1 * near.max(), near < 0.9 * near.max()
+    assert near.max() <= 1 and (thin & white).sum() > 0.25 * white.sum()
+
+
+def test_foam_is_not_stretched_where_the_mesh_moved_to_a_hull(shown):
+    """Water moves by at most choppiness times amplitude; points at the hull moved further."""
+    from vehsim.exporters.pictures.water import WaterView
+    from vehsim.exporters.usd.scenery.shading import light_for
+
+    stage = StageReader(shown[1])
+    view = WaterView(stage, light_for(stage.sun(), stage.sky()))
+    place = stage.water_at(stage.frames[0])[0][:, :2]
+    rest, anchors = (at - np.median(at - place, axis=0) for at in (TILE * stage.water_st(), view._anchors()))
+    most = 0.6 * 0.3 / 2
+    assert np.linalg.norm(place - rest, axis=1).max() > 2 * most
+    assert np.linalg.norm(place - anchors, axis=1).max() < 1.3 * most
+
+
+def test_water_shows_less_of_a_vehicles_shade(tmp_path, monkeypatch):
+    """Below a boat that leaves the water: one afloat has its shade under water."""
+    from vehsim.exporters.pictures import render
+
+    clip = straight(6.0, 0.1, (-1.0, 0.0, 0.5))
+    rig = CameraRig(name="low", rig="static", position=(0.0, -9.0, 1.4))
+    world, frames = World(water=Water(0.0)), (1001, 1002)
+    camera = solve_camera(rig, {"boat": clip}, world, frames)
+    take = Take("sea", {"boat": clip}, world, (camera,), Fraction(FPS), frames, RenderSettings((320, 180)))
+    stage, seen = take.export(tmp_path) / "sea.usda", []
+    for share in (0.0, 0.5, 1.0):
+        monkeypatch.setattr(render, "ON_WATER", share)
+        with StageRenderer(StageReader(stage), (320, 180)) as renderer:
+            seen.append(renderer.render("low", 1001).astype(float))
+    clear, shown, dark = seen
+    lost = (clear - dark) > 10
+    assert lost.sum() > 100
+    assert (clear - shown)[lost].sum() == pytest.approx(0.5 * (clear - dark)[lost].sum(), rel=0.1)
+
+
 def test_ripples_have_zero_mean_and_repeat():
     import io
 

@@ -32,11 +32,13 @@ ROUGH = (0.06, 0.85)
 RIPPLES = "ripples.png"
 LACE, LACE_SIDE = 768, 12.0
 """Side of the repeating picture of foam, in texels and in m."""
-SOFT = 0.16
+SOFT = 0.7
 """How gradually it becomes white."""
 THREADS, WIDER = (0.15, 0.8), 7.0
 """Samples closer than the first show all of that picture; further apart than the second, none of it, m. Those show the
 same picture this many times larger, and still further apart, only the mean."""
+FINER, GRAIN = 0.23, 0.5
+"""Foam has a grain of bubbles: the same picture so much smaller makes it denser and thinner by half of this."""
 TILE, TEXELS, STEEP = 9.0, 256, 0.075
 """The repeating texture of ripples: its side in m and in texels, and the deviation of their slopes."""
 
@@ -72,18 +74,26 @@ def set_foam(layer: Any, path: str, frame: float, white: Array) -> None:
 
 def patches(xy: Array, foam: Array, size: Array | float) -> NDArray[np.float32]:
     """How much of the water with rest positions ``xy`` (2, n) m ``foam`` (n,) hides: threads around holes, which widen
-    as it fades. Between samples ``size`` (n,) m apart that cannot show them, its mean."""
+    and grow thin as it fades, with grain. Between samples ``size`` (n,) m apart that cannot show them, its mean."""
     white = np.array(foam, np.float32)
     size = np.broadcast_to(np.asarray(size, np.float32), white.shape)
-    there = np.flatnonzero((foam > 0) & (foam < 1) & (size < THREADS[1] * WIDER))
+    there = np.flatnonzero((foam > 0) & (size < THREADS[1] * WIDER))
     full, size, (x, y) = white[there], size[there], (each[there] for each in xy)
-    for wider in (WIDER, 1.0):
-        side = wider * LACE_SIDE
+    levels = np.linspace(0, 1, SHADES)
+    mean = np.interp(full, levels, _hidden(levels[:, None], levels).mean(axis=1))
+    for scale in (WIDER, 1.0, FINER):
+        side = scale * LACE_SIDE
         rank = _read(lace(), x / side, y / side)  # foam leaves the lowest first
-        seen = np.clip((full - 1 + rank) / SOFT + 0.5, 0, 1) * np.minimum(1, full / SOFT)
-        share = np.clip((wider * THREADS[1] - size) / (wider * (THREADS[1] - THREADS[0])), 0, 1)
-        white[there] += share * (seen - white[there])
+        share = np.clip((scale * THREADS[1] - size) / (scale * (THREADS[1] - THREADS[0])), 0, 1)
+        seen = white[there] * (1 + GRAIN * (rank - 0.5)) if scale == FINER else _hidden(full, rank) * full / mean
+        white[there] += share * (np.minimum(seen, 1) - white[there])
     return np.asarray(white)
+
+
+def _hidden(foam: NDArray[np.floating], rank: NDArray[np.floating]) -> NDArray[np.floating]:
+    """How much ``foam`` hides where it has the ``rank`` of `lace`, from thin to dense."""
+    dense = np.clip((foam - 1 + rank) / SOFT + 0.5, 0, 1)
+    return np.asarray(dense**2 * (3 - 2 * dense))
 
 
 def _read(tile: NDArray[np.float32], u: Array, v: Array) -> NDArray[np.float32]:
