@@ -97,6 +97,7 @@ def test_a_browser_that_is_killed_in_a_drag_loses_nothing(tmp_path):
             async with at(f"http://{address}", tmp_path / "second") as page:
                 await page.until(f"{OPEN} && !document.getElementById('do-undo').disabled")
                 assert ring != [8, 1, 0] and path.read_text() == SHOT
+                assert not await page.value("document.getElementById('do-add').disabled")
                 kept = await page.value("vehsim.viewer.rings[1].position.toArray()")
                 assert kept == pytest.approx(ring, abs=1e-3)
                 await page.value("document.getElementById('do-undo').click()")

@@ -115,3 +115,19 @@ def test_changes_of_others_are_not_overwritten(path):
     with pytest.raises(InputError, match="changed by another program"):
         document.save()
     assert path.read_text().endswith("somebody else\n") and document.autosave.exists()
+
+
+def test_tables_are_counted_when_their_indices_change(path):
+    """Not when a table moves, gets a key, or gets a table of its own; adding one and deleting another is two changes."""
+    document = Document(path)
+    place(document, 0, 1, (4.0, 1.0, 0.0), 30.0)
+    document.put("vehicle[0].motion.limits.speed", 5.0)
+    assert document.tables == 0
+    document.insert("vehicle[1].motion.mark", 1, {"frame": 1050, "position": [1.0, 2.0, 0.0]})
+    document.put("vehicle[0].motion.mark[0]", None)
+    assert document.tables == 2
+    document.undo()
+    document.undo()
+    document.undo()
+    document.redo()
+    assert document.tables == 4

@@ -563,6 +563,31 @@ def test_a_browser_that_leaves_in_a_drag_releases_the_mark(path):
     asyncio.run(play())
 
 
+def test_what_refers_to_earlier_tables_is_refused(path):
+    """An added mark has taken the index of the one that a browser drags, deletes or changes before it hears of it."""
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            state = await page.until("state", lambda message: message["solved"])
+            then = state["tables"]
+            late = [
+                moved("place", 5.0, 5.0, tables=then),
+                {"kind": "delete_mark", "vehicle": "car", "mark": 1, "tables": then},
+                {"kind": "change", "key": "vehicle[0].motion.mark[1].frame", "value": 1050, "tables": then},
+            ]
+            await page.send(kind="add_mark", vehicle="car", frame=1037)
+            for message in late:
+                await page.send(**message)
+                assert "other tables" in (await page.until("refused"))["text"]
+            await page.send(**moved("drag", 5.0, 5.0, tables=then))
+            assert "other tables" in (await page.until("undrawn"))["text"]
+            await page.send(kind="delete_mark", vehicle="car", mark=1, tables=then + 1)
+            state = await page.until("state", lambda message: message["solved"])
+            assert [one["place"] for one in state["handles"]] == [[0, 0, 0], [8, 1, 0]]
+
+    asyncio.run(play())
+
+
 def test_a_session_that_ends_in_a_drag_keeps_it(path):
     """The next session opens with the mark where it was dragged last, and an edit and a save that waited are done."""
     autosave = path.with_name("drive.toml.autosave")

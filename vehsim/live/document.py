@@ -7,7 +7,7 @@ when the shot is saved, and continues an interrupted session when the shot is op
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ class Document:
         _, self._saved = read_toml(path)
         self._texts = [self._saved]
         self._at = 0
+        self.tables = 0
+        """It grows when tables are added to a list or removed, because keys with an index then name others."""
         self.recovered = False
         """Whether it continues an interrupted session."""
         if self.autosave.is_file():
@@ -93,12 +95,10 @@ class Document:
         self._push(tomlkit.dumps(document))
 
     def undo(self) -> None:
-        self._at = max(self._at - 1, 0)
-        self._keep()
+        self._go(max(self._at - 1, 0))
 
     def redo(self) -> None:
-        self._at = min(self._at + 1, len(self._texts) - 1)
-        self._keep()
+        self._go(min(self._at + 1, len(self._texts) - 1))
 
     def save(self) -> None:
         """Write the file. Raises ``InputError`` if somebody else changed it since it was read."""
@@ -113,8 +113,13 @@ class Document:
     def _push(self, text: str) -> None:
         if text != self.text:
             self._texts[self._at + 1 :] = [text]
-            self._at += 1
-            self._keep()
+            self._go(self._at + 1)
+
+    def _go(self, at: int) -> None:
+        """Make another state the present one."""
+        before, self._at = self.data, at
+        self.tables += list(_lengths(before)) != list(_lengths(self.data))
+        self._keep()
 
     def _keep(self) -> None:
         """Write the autosave, or remove it if there is nothing to save."""
@@ -122,6 +127,16 @@ class Document:
             _write(self.autosave, self.text)
         else:
             self.autosave.unlink(missing_ok=True)
+
+
+def _lengths(data: Any) -> Iterator[int]:
+    """The lengths of all lists of tables, in the order of the file."""
+    values = data.values() if isinstance(data, dict) else data
+    for value in values:
+        if isinstance(value, list) and any(isinstance(one, dict) for one in value):
+            yield len(value)
+        if isinstance(value, dict | list):
+            yield from _lengths(value)
 
 
 def write(data: Any, key: str, value: Any, table: Callable[[], Any] = dict) -> None:

@@ -21,7 +21,13 @@ class _Message(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Moved(_Message):
+class Indexed(_Message):
+    """About tables of the file by their index. ``tables``: those of the state that it refers to; None: the present."""
+
+    tables: int | None = None
+
+
+class Moved(Indexed):
     """A handle at another place.
 
     ``key``: that of the handle; ``heading`` in degrees, None if it was not turned; ``frame``: None if it was not
@@ -58,7 +64,7 @@ class Pressed(_Message):
     kind: Literal["save", "export", "stop"]
 
 
-class Change(_Message):
+class Change(Indexed):
     """A value of the shot file; None removes it."""
 
     kind: Literal["change"]
@@ -81,7 +87,7 @@ class AddMark(_Message):
     frame: Frame
 
 
-class DeleteMark(_Message):
+class DeleteMark(Indexed):
     kind: Literal["delete_mark"]
     vehicle: str
     mark: Annotated[int, Field(ge=0)]
@@ -98,7 +104,7 @@ class AddNote(_Message):
     text: Note
 
 
-class EditNote(_Message):
+class EditNote(Indexed):
     """Another text of the note at an index, or another place that it points at, m; None leaves it."""
 
     kind: Literal["edit_note"]
@@ -107,7 +113,7 @@ class EditNote(_Message):
     position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)] | None = None
 
 
-class DeleteNote(_Message):
+class DeleteNote(Indexed):
     kind: Literal["delete_note"]
     note: Annotated[int, Field(ge=0)]
 

@@ -268,6 +268,7 @@ class Server:
             self._tell(answer)
 
     async def _edit(self, message: Message) -> None:
+        self._session.check(message)
         change = getattr(self._session, message.kind)
         await self._solve(lambda: change(message))
 

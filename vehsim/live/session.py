@@ -43,6 +43,7 @@ from vehsim.live.messages import (
     DeleteNote,
     EditNote,
     Fix,
+    Indexed,
     KeepDragged,
     Moved,
     MoveSticks,
@@ -152,6 +153,7 @@ class Session:
             "kind": "state",
             "file": document.path.name,
             "changed": document.changed,
+            "tables": document.tables,
             "undo": document.undoable,
             "redo": document.redoable,
             "solved": self.solved,
@@ -309,6 +311,11 @@ class Session:
         report = {**self.take.report, "inputs": fingerprint(self.shot, EXPORTED)}
         return replace(self.take, report=report).export(self.out, to=EXPORTED, progress=self._draws)
 
+    def check(self, message: object) -> None:
+        """Raises ``InputError`` if tables were added or removed since the state to which the message refers."""
+        if isinstance(message, Indexed) and message.tables not in (None, self.document.tables):
+            raise InputError("the shot has other tables by now", "try again")
+
     # ------------------------------------------------------------ drag
 
     def prepare(self) -> None:
@@ -322,6 +329,7 @@ class Session:
         """The drafts with a handle at another place. Raises ``VehsimError`` with the reason if there is none."""
         from vehsim.shot.shot import Shot
 
+        self.check(moved)
         handle = self._handle(moved)
         following = self._following(handle)
         if not following:

@@ -18,7 +18,7 @@
     live().send({ kind: "add_mark", vehicle: subject(), frame: vehsim.viewer.frame }));
   const remove = button("do-delete", "\u2212 mark", "delete the mark at this frame", () => {
     const handle = here();
-    if (handle) live().send({ kind: "delete_mark", vehicle: handle.vehicle, mark: handle.mark });
+    if (handle) live().send({ kind: "delete_mark", tables: live().state.tables, vehicle: handle.vehicle, mark: handle.mark });
   });
 
   const subject = () => vehsim.viewer.follow || vehsim.viewer.vehicles[0];
@@ -32,7 +32,7 @@
   };
   track.addEventListener("pointerdown", (event) => {
     if (!event.target.classList.contains("mark") || !live().editor) return;
-    held = { k: Number(event.target.dataset.mark), shown: event.target, frame: null };
+    held = { k: Number(event.target.dataset.mark), shown: event.target, frame: null, tables: live().state.tables };
     track.setPointerCapture(event.pointerId);
     event.stopImmediatePropagation();
   }, true);
@@ -46,10 +46,10 @@
   }, true);
   for (const kind of ["pointerup", "pointercancel"]) track.addEventListener(kind, (event) => {
     if (!held) return;
-    const { k, frame } = held, handle = marks()[k];
+    const { k, frame, tables } = held, handle = marks()[k];
     held = null;
     if (frame === null) vehsim.viewer.seek(vehsim.viewer.marks[k].frame);
-    else live().send({ kind: "place", key: handle.key, position: handle.place, frame });
+    else live().send({ kind: "place", tables, key: handle.key, position: handle.place, frame });
     event.stopImmediatePropagation();
   }, true);
 
@@ -78,13 +78,13 @@
       };
       make("at", one.frame, "go to this frame", () => vehsim.viewer && vehsim.viewer.seek(one.frame));
       const input = Object.assign(document.createElement("textarea"), { value: one.text, rows: one.text.split("\n").length, maxLength: 1000, disabled: !editor });
-      input.addEventListener("change", () => (input.value ? live().send({ kind: "edit_note", note, text: input.value }) : (input.value = one.text)));
+      input.addEventListener("change", () => (input.value ? live().send({ kind: "edit_note", tables: live().state.tables, note, text: input.value }) : (input.value = one.text)));
       row.append(input);
       make("pin", "pin", "pin it to where the vehicle is now", () => {
         const place = vehsim.viewer && vehsim.viewer.subject();
-        if (place) live().send({ kind: "edit_note", note, position: vehsim.viewer.world(place) });
+        if (place) live().send({ kind: "edit_note", tables: live().state.tables, note, position: vehsim.viewer.world(place) });
       }).disabled = !editor;
-      make("drop", "\u00d7", "delete this note", () => live().send({ kind: "delete_note", note })).disabled = !editor;
+      make("drop", "\u00d7", "delete this note", () => live().send({ kind: "delete_note", tables: live().state.tables, note })).disabled = !editor;
       return row;
     }));
     const k = given.findIndex((one, at) => JSON.stringify(one) !== JSON.stringify(known[at]));
@@ -149,7 +149,7 @@
     input.addEventListener("change", () => {
       const text = input.value;
       const value = text === "" ? null : one.kind === "choice" ? text : one.kind === "boolean" ? text === "true" : Number(text);
-      live().send({ kind: "change", key: one.key, value });
+      live().send({ kind: "change", tables: live().state.tables, key: one.key, value });
     });
     label.append(input);
     return label;

@@ -131,6 +131,7 @@
       if (viewer) made.replace(viewer);
       else made.lookThrough(-1);
       vehsim.viewer = made;
+      told(header); // the buttons that need a scene
       drawHandles();
       made.draw(); // handles are found with the matrices of the last picture
       await made.ready;
@@ -178,7 +179,7 @@
     grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })) : [];
     grips.push(...own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) })));
     for (const grip of grips) carry(grip);
-    const now = dragged && grips.find((grip) => grip.handle.key === dragged.handle.key);
+    const now = dragged && dragged.tables === state.tables && grips.find((grip) => grip.handle.key === dragged.handle.key);
     if (!now) {
       dragged = null;
       return;
@@ -231,15 +232,15 @@
   }
 
   function message(kind) {
-    const { ring, handle, turned } = dragged;
-    return { kind, key: handle.key, position: vehsim.viewer.world(ring.position), heading: turned ? ring.rotation.z * DEGREES : null };
+    const { ring, handle, turned, tables } = dragged;
+    return { kind, tables, key: handle.key, position: vehsim.viewer.world(ring.position), heading: turned ? ring.rotation.z * DEGREES : null };
   }
 
   function grab(event) {
     const hit = event.button === 0 && event.target === element("view") && under(event);
     if (!hit) return;
     const { ring } = hit.grip;
-    dragged = { ...hit.grip, viewer: vehsim.viewer, turning: hit.turning, turned: false, moved: false };
+    dragged = { ...hit.grip, viewer: vehsim.viewer, tables: state.tables, turning: hit.turning, turned: false, moved: false };
     dragged.plane = new THREE.Plane(new THREE.Vector3(0, 0, 1), -ring.position.z);
     const start = ray(event).intersectPlane(dragged.plane, new THREE.Vector3());
     dragged.grip = start ? ring.position.clone().sub(start) : new THREE.Vector3();
