@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from vehsim.integrators.phase import Phase
     from vehsim.world.world import World
 
+MOVING = "world.moving"
+"""The setting of a simulation that names the vehicles that moved as obstacles."""
 STORED = (
     "vehsim.vehicles.definition.base:State",
     "vehsim.integrators.phase:Phase",
@@ -110,6 +112,7 @@ def simulate(
         "order": order,
         "actuators": actuators,
         "world": "with external forces" if environment is not None else "without external forces",
+        **_surroundings(world if isinstance(world, World) else World()),
         "start": _numbers(begin),
     }
     if environment is not None:
@@ -211,7 +214,12 @@ def simulate_together(
     if after is not None and set(after) != set(movers):
         raise InputError("not the vehicles of movers", "give a clip of each", key="after", value=sorted(after))
     settings = {
-        name: {**_settings(vehicle, h, rate, start_frame), "movers": list(movers), "start": _numbers(begin)}
+        name: {
+            **_settings(vehicle, h, rate, start_frame),
+            **_surroundings(world),
+            "movers": list(movers),
+            "start": _numbers(begin),
+        }
         for name, vehicle, _, begin, _ in prepared
     }
     before = None
@@ -238,6 +246,19 @@ def _settings(vehicle: Vehicle, step: float, fps: Fraction, start_frame: int) ->
     return {**named, "step": step, "fps": str(fps), "start_frame": start_frame}
 
 
+def _surroundings(world: World) -> dict[str, Any]:
+    """The same of the world: part -> content. Of vehicles that move as obstacles, only the names: their own motions may
+    end earlier."""
+    given = {"gusts": world.gusts, "contact": world.contact}
+    hashed = {"terrain": world.terrain, "water": world.water, **{f"obstacle.{one.name}": one for one in world.standing}}
+    parts = {
+        **{name: None if part is None else f"content {part.content_hash[:12]}" for name, part in hashed.items()},
+        **{name: None if part is None else repr(part) for name, part in given.items()},
+        "wind": world.wind.tolist(),
+    }
+    return {**{f"world.{name}": part for name, part in parts.items()}, MOVING: [one.name for one in world.moving]}
+
+
 def _numbers(state: State) -> dict[str, list[float]]:
     """The parts of a state that are given."""
     return {part: np.asarray(value, float).tolist() for part, value in vars(state).items() if value is not None}
@@ -257,22 +278,39 @@ def _hash(clip: Clip) -> str:
 
 def _memory(after: Clip, steps: int, settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """What a clip that is continued for ``steps`` in all left. Raises ``InputError``."""
-    from vehsim.clip.ending import decoded
-
-    ending = {} if after.ending is None else decoded(after.ending, STORED)
-    if ending.get("positions") != _hash(after):
-        remedy = "take a clip as `simulate` made it, not edited"
-        raise InputError("cannot be continued", remedy, key="after", subject=after.vehicle.name)
-    earlier = ending["settings"]
-    for key in {**settings, **earlier}:
-        if settings.get(key) != earlier.get(key):
-            message = f"the clip to be continued has {earlier.get(key)}"
-            raise InputError(message, "continue it with the same", key=key, value=settings.get(key))
+    ending = _left(after)
+    for key, earlier in _unlike(ending["settings"], settings).items():
+        message = f"the clip to be continued has {earlier}"
+        raise InputError(message, "continue it with the same", key=key, value=settings.get(key))
     if len(after) > steps + 1:
         message = f"has {len(after) - 1} steps, more than the {steps} of the whole duration"
         raise InputError(message, "give a longer duration, which counts from the start", key="after")
     memory: Mapping[str, Any] = ending["memory"]
     return memory
+
+
+def changed_surroundings(after: Clip, world: World) -> dict[str, tuple[Any, Any]]:
+    """What differs in ``world`` from that of a simulated clip: key -> content there and here. Of vehicles that move as
+    obstacles, it says nothing. Raises ``InputError`` for a clip that cannot be continued."""
+    now = {key: part for key, part in _surroundings(world).items() if key != MOVING}
+    before = {key: part for key, part in _left(after)["settings"].items() if key.startswith("world.") and key != MOVING}
+    return {key: (earlier, now.get(key)) for key, earlier in _unlike(before, now).items()}
+
+
+def _left(after: Clip) -> dict[str, Any]:
+    """What a simulated clip left. Raises ``InputError``."""
+    from vehsim.clip.ending import decoded
+
+    ending: dict[str, Any] = {} if after.ending is None else decoded(after.ending, STORED)
+    if ending.get("positions") != _hash(after):
+        remedy = "take a clip as `simulate` made it, not edited"
+        raise InputError("cannot be continued", remedy, key="after", subject=after.vehicle.name)
+    return ending
+
+
+def _unlike(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """The earlier values of what differs."""
+    return {key: earlier.get(key) for key in {**now, **earlier} if now.get(key) != earlier.get(key)}
 
 
 def _commanded(clip: Clip, law: Any) -> Clip:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,18 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path) -> None:
     refused("beyond the end", last=middle - 1)
     refused("starts at frame 1001, this motion at 1005", start_frame=1005)
     refused("the shot at 25", fps=25)
+    for change, key in (
+        (SWELL["water"] | {"level": 0.5}, "water"),
+        ([3, 0, 0], "wind"),
+        (WALL["obstacle"], "obstacle"),
+    ):
+        before, world[key] = world.pop(key, None), change
+        refused(f"had world.{key}")
+        world.pop(key)
+        world |= {} if before is None else {key: before}
     clip = Clip.load(tmp_path / "first" / "one.npz")
+    (tmp_path / "first" / "one.npz").write_bytes(replace(clip, positions=clip.positions + 1).to_bytes(ending=True))
+    refused("cannot be continued")
     (tmp_path / "first" / "one.npz").write_bytes(clip.to_bytes())
     refused("was not simulated")
     motion["continues"] = "none.npz"

@@ -19,7 +19,7 @@ from vehsim.pilots import FlyTo, FollowPath
 from vehsim.simulation import Mover, simulate, simulate_together
 from vehsim.vehicles import State
 from vehsim.world.contact.contact import Contact
-from vehsim.world.obstacles.obstacles import box
+from vehsim.world.obstacles.obstacles import box, moving
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.water import Water, Waves
 from vehsim.world.wind import Gusts
@@ -168,6 +168,13 @@ def test_what_differs_from_the_earlier_call_is_named() -> None:
         "actuators": {"actuators": False},
         "world": {"world": None},
         "controls": {"vehicle": car, "world": None, "controls": helm, "clip": rolled, "step": 1 / 240},
+        "world.wind": {"world": World(water=0.0, wind=(3, 0, 0))},
+        "world.water": {"world": World(water=Water(0.0, SWELL))},
+        "world.gusts": {"world": World(water=0.0, gusts=Gusts(0.2))},
+        "world.contact": {"world": World(water=0.0, contact=Contact())},
+        "world.terrain": {"world": World("flat", water=0.0)},
+        "world.obstacle.wall": {"world": World(water=0.0, obstacles=[box("wall", (90, 0, 0), (1, 1, 1))])},
+        "world.moving": {"world": World(water=0.0, obstacles=[moving("ferry", first)])},
     }
     for key, change in changes.items():
         with pytest.raises(InputError, match="to be continued has") as error:
@@ -175,8 +182,12 @@ def test_what_differs_from_the_earlier_call_is_named() -> None:
         assert error.value.key == key
     movers = {name: Mover(boat, [0.0, 0.0], State(position=(x, 0, 0))) for name, x in (("one", 0.0), ("two", 20.0))}
     both = simulate_together(movers, water, 0.25, step=1 / 48)
-    for wrong, key in ((movers, "after"), (dict(reversed(movers.items())), "movers")):
+    windy = World(water=0.0, wind=(3, 0, 0))
+    for wrong, place, clips, key in (
+        (movers, water, {"one": both["one"]}, "after"),
+        (dict(reversed(movers.items())), water, both, "movers"),
+        (movers, windy, both, "world.wind"),
+    ):
         with pytest.raises(InputError) as error:
-            clips = both if key == "movers" else {"one": both["one"]}
-            simulate_together(wrong, water, 0.5, step=1 / 48, after=clips)
+            simulate_together(wrong, place, 0.5, step=1 / 48, after=clips)
         assert error.value.key == key

@@ -14,7 +14,7 @@ from annotated_types import Len
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
-from vehsim.errors import Problem
+from vehsim.errors import InputError, Problem
 from vehsim.shot.checks import Context, check_clear, check_free, check_inside, check_mark, check_names
 from vehsim.shot.motions.clip import check_clip, load_clip
 from vehsim.shot.motions.pilots import PilotTable
@@ -104,6 +104,8 @@ class ForwardMotion(Table):
         return None if self.continues is None else load_clip(self.continues, vehicle, context)
 
     def _check_continued(self, path: str, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
+        from vehsim.simulation import changed_surroundings
+
         wrong = list(check_clip("continues", path, vehicle, context))
         yield from wrong
         if wrong:
@@ -118,6 +120,14 @@ class ForwardMotion(Table):
         elif clip.duration > self.seconds(context) + 1e-9:
             message = f"reaches frame {clip.end_frame}, beyond the end of this motion"
             yield Problem("continues", message, "give a later end_frame, or a longer duration", path)
+        else:
+            try:
+                changed = changed_surroundings(clip, context.world)
+            except InputError as error:
+                yield Problem("continues", error.message, "give what --to npz wrote, not edited", path)
+                return
+            for key, (there, here) in changed.items():
+                yield Problem("continues", f"had {key} = {there}, this shot has {here}", "give it the same", path)
 
     def _start(self, vehicle: Vehicle, context: Context) -> State | None:
         """The start; None where `vehsim.simulate` chooses it."""
