@@ -75,24 +75,19 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path) -> None:
     (motion,) = (vehicle["motion"] for vehicle in vehicles)
     motion["continues"] = "first/one.npz"
 
-    def refused(message: str, key: str = "vehicle[0].motion.continues", last: int = end, **header: Any) -> None:
+    def refused(
+        message: str, key: str = "vehicle[0].motion.continues", last: int = end, around: Any = world, **header: Any
+    ) -> None:
         shot = {"schema": 1, "name": "second", "end_frame": last, **header}
         with pytest.raises(ShotError, match=message) as error:
-            Shot.from_dict({"shot": shot, "world": world, "vehicle": vehicles}, tmp_path).solve()
+            Shot.from_dict({"shot": shot, "world": around, "vehicle": vehicles}, tmp_path).solve()
         assert [problem.key for problem in error.value.problems] == [key]
 
     refused("beyond the end", last=middle - 1)
     refused("starts at frame 1001, this motion at 1005", start_frame=1005)
     refused("the shot at 25", fps=25)
-    for change, key in (
-        (SWELL["water"] | {"level": 0.5}, "water"),
-        ([3, 0, 0], "wind"),
-        (WALL["obstacle"], "obstacle"),
-    ):
-        before, world[key] = world.pop(key, None), change
-        refused(f"had world.{key}")
-        world.pop(key)
-        world |= {} if before is None else {key: before}
+    for key, change in {"water": {"level": 0.5}, "wind": [3, 0, 0], "obstacle": WALL["obstacle"]}.items():
+        refused(f"had world.{key}", around={**world, key: change})
     clip = Clip.load(tmp_path / "first" / "one.npz")
     (tmp_path / "first" / "one.npz").write_bytes(replace(clip, positions=clip.positions + 1).to_bytes(ending=True))
     refused("cannot be continued")
