@@ -118,7 +118,7 @@ def test_changes_of_others_are_not_overwritten(path):
 
 
 def test_tables_are_counted_when_their_indices_change(path):
-    """Not when a table moves, gets a key, or gets a table of its own; adding one and deleting another is two changes."""
+    """Not when a table moves, gets a key or a table of its own; adding one and deleting another is two changes."""
     document = Document(path)
     place(document, 0, 1, (4.0, 1.0, 0.0), 30.0)
     document.put("vehicle[0].motion.limits.speed", 5.0)
