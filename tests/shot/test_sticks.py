@@ -109,3 +109,16 @@ def test_a_changed_table_is_solved_again(tmp_path, monkeypatch):
         ends.append((take.recalled, take.clips["car"].positions[-1, 0]))
     assert [recalled for recalled, _ in ends] == [False, True, False]
     assert ends[2][1] == pytest.approx(2 * ends[0][1], rel=1e-3)
+
+
+def test_a_motion_that_is_cut_off_is_said_to_need_grip_once(tmp_path, recwarn):
+    """2.3 g in its bend; that it stands still after its last row is no braking."""
+    write(tmp_path / "a.csv", COLUMNS, [1001, 0.0], [1013, 0.0])
+    start = {"velocity": [15.0, 0.0, 0.0], "spin": [0.0, 0.0, np.degrees(1.5)], "joints": {"sigma": 0.26}}
+    longer = {"name": "other", "asset": "car", "motion": {"method": "simulate", "duration": 4.0}}
+    vehicle = {"name": "car", "asset": "car", "motion": {"method": "sticks", "file": "a.csv", "start": start}}
+    data = {"shot": {"schema": 1, "name": "drive"}, "world": {"terrain": "flat"}, "vehicle": [vehicle, longer]}
+    Shot.from_dict(data, folder=tmp_path).solve()
+    texts = [str(warning.message) for warning in recwarn]
+    assert [text[:12] for text in texts if "grip of tyres" in text] == ["car: 2.3 g a"]
+    assert any("cut off while it moves" in text for text in texts)

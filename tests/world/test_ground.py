@@ -197,6 +197,21 @@ def test_bends_beyond_the_grip_of_tyres_warn(speed, held, recwarn):
     assert held or texts[0].startswith("car: 2.3 g at frame ")
 
 
+def test_beyond_the_grip_of_tyres_the_body_leans_as_at_their_limit():
+    """Tyres give 1.1 g at most: at 15 and 25 m/s on a circle of 10 m the body leans as where v^2 / R is 1.1 g."""
+
+    def roll(speed):
+        start = vehsim.State(twist=(speed / 10, speed, 0.0), joints=(0.0, 2.6 / 10))
+        clip = vehsim.simulate(CAR, World("flat"), [0.0, 0.0], start=start, duration=2.0)
+        assert np.abs([clip.channels[f"travel_{wheel}"] for wheel in ("rl", "rr", "fl", "fr")]).max() < 0.12
+        return clip.channels["roll"][-1]
+
+    limit = roll(np.sqrt(1.1 * 9.81 * 10))
+    with pytest.warns(UserWarning, match="more than the grip of tyres"):
+        assert [roll(15.0), roll(25.0)] == pytest.approx([limit] * 2, rel=0.03)
+    assert limit > roll(9.0) > 0.05
+
+
 def test_wheels_come_from_the_asset():
     wheels = {wheel.travel: wheel for wheel in wheels_of(CAR.rig)}
     assert set(wheels) == {"travel_rl", "travel_rr", "travel_fl", "travel_fr"}

@@ -208,7 +208,9 @@ class Shot:
         self._warn_off_ground(clips)
         self._check_rock(clips)
         self._warn_of_late_notes(frames[1])
-        clips = {name: self._placed(name, hold(clip, *frames)) for name, clip in clips.items()}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a motion that is cut off does not brake; of the rest, all is said
+            clips = {name: self._placed(name, hold(clip, *frames)) for name, clip in clips.items()}
         avoided = self._avoided
         worlds = {name: with_vehicles(self.world, clips, avoided, name) for name in clips}
         return Take(

@@ -56,7 +56,8 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     Adds the channels ``heave`` (of the body above its rest on its wheels, m), ``pitch`` (nose down) and ``roll`` (left
     side up, rad), and ``load_*`` (N) of wheels on springs; fills ``travel_*`` (m, upwards), and ``hitch_pitch*`` and
     ``hitch_roll*`` of trailers, as ``pitch`` and ``roll``; wheels turn by the length of the slope. The planar motion
-    does not change. Other clips, and clips without terrain, are returned unchanged. ``samples``: at least so many per
+    does not change. The body leans as far as the grip of tyres can make it, also where the motion needs more, which is
+    warned about. Other clips, and clips without terrain, are returned unchanged. ``samples``: at least so many per
     frame; ``coarse``: see `Wheel.coarse`.
     Raises ``SolveError`` where the vehicle cannot stand on the ground, such as on a wall of rock.
     """
@@ -82,7 +83,9 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
         raise SolveError(
             f"{where}: it is too steep or too rough there", "keep to gentler ground", subject=clip.vehicle.name
         )
-    held = _tyre_force(clip, rest)
+    needed = _tyre_force(clip, rest)
+    share = np.minimum(1.0, _grip(clip.vehicle) / np.maximum(np.hypot(*needed), 1e-9))
+    held = share * needed[0], share * needed[1]
     deflection = np.zeros_like(rest)
     if any(wheel.travel for wheel in own) and len(clip) > 1:
         deflection = deflections(clip.times, rest, lean_of(*held, own, rig.suspension), rig.suspension)
@@ -92,7 +95,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     channels = {**clip.channels, "heave": deflection[:, 0], "pitch": pitch, "roll": roll}
     channels |= tilted(rig, terrain, channels, clip.times, *there)
     channels |= _wheel_channels(rig, terrain, wheels, channels, *there)
-    _warn_strain(clip, held, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
+    _warn_strain(clip, needed, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
     placed = replace(clip, positions=there[0], orientations=there[1], channels=channels)
     return replace(placed, channels={**channels, **spring_loads(placed, wheels)})
 
@@ -182,6 +185,11 @@ def _tyre_force(clip: Clip, rest: Array) -> tuple[Array, Array]:
     return along + np.gradient(vx, clip.times) - turn * vy, across + np.gradient(vy, clip.times) + turn * vx
 
 
+def _grip(vehicle: Vehicle) -> float:
+    """The largest force per mass of tyres that never slip, m/s^2; infinite for those that slip."""
+    return np.inf if vehicle.rolling is not None else GRIP * SURFACES[vehicle.surface].friction * GRAVITY
+
+
 def _own_attitude(clip: Clip) -> Array:
     """Heave, pitch and roll (n, 3) of the body on springs of its own; zero without them."""
     names = clip.vehicle.attitude
@@ -190,15 +198,14 @@ def _own_attitude(clip: Clip) -> Array:
     return clip.joints[:, [clip.vehicle.joints.index(name) for name in names]]
 
 
-def _warn_strain(clip: Clip, held: tuple[Array, Array], travels: dict[str, Array]) -> None:
+def _warn_strain(clip: Clip, needed: tuple[Array, Array], travels: dict[str, Array]) -> None:
     """Warn if tyres, or else springs, exceed their limits."""
-    needed = np.hypot(*held) / GRAVITY
+    force = np.hypot(*needed)
     name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
-    if needed.max() > GRIP * SURFACES[clip.vehicle.surface].friction and clip.vehicle.rolling is None:
-        frame = clip.frames[int(needed.argmax())]
-        message = (
-            f"{needed.max():.1f} g at frame {frame:.0f}: more than the grip of tyres, but wheels never slip here; "
-        )
+    if force.max() > _grip(clip.vehicle):
+        frame = clip.frames[int(force.argmax())]
+        most = f"{force.max() / GRAVITY:.1f} g at frame {frame:.0f}"
+        message = f"{most}: more than the grip of tyres, but wheels never slip here; "
         remedy = "go slower, or plan with limits = { grip = 0.9 }"
     elif np.abs(travel).max() > LARGEST_TRAVEL:
         k = int(np.abs(travel).argmax())
