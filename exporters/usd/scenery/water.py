@@ -41,8 +41,8 @@ Array = NDArray[np.float64]
 BEYOND = 10.0
 """Width within which a liquid solver's water falls to its level beyond its grid, m."""
 CARRIED = (2.0, 2.5)
-"""Cells per wave: from the second on, the mesh carries a wave as it is; below the first, it shows none of it. Flat cells
-show a wave smaller than it is, so what fades sooner would be further from the sea; see docs/derivations.md."""
+"""Cells per wave: from the second on, the mesh carries a wave as it is; below the first, it shows none of it. Flat
+cells show a wave smaller than it is, so what fades sooner would be further from the sea; see docs/derivations.md."""
 RESOLVED = 1.6
 """Cells longer than this show less of a surface whose waves are unknown, so that distant water is not jagged, m."""
 LOWERED = "lowered"
