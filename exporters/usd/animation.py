@@ -90,12 +90,13 @@ def write_animation(
     shutter: tuple[float, float] | None = None,
     thin: float | None = None,
     curves: Tolerances | None = None,
+    earlier: Path | None = None,
 ) -> Path:
     """Write ``clip`` as the animation layer ``path`` of a vehicle called ``name``.
 
     Samples are on whole frames; an open ``shutter`` (frames from, to) adds those for motion blur; ``thin`` (m) omits
     all samples that linear interpolation between the others replaces; ``curves`` writes splines within these
-    tolerances instead of samples.
+    tolerances instead of samples. Where those of the layer ``earlier`` still show the motion, their keys stay.
     """
     from pxr import Sdf, Tf
 
@@ -112,7 +113,7 @@ def write_animation(
     asset = pack.reference(rig, path)
     motion: _Motion | _Curves = _Motion(clip, name, frames, shutter, thin)
     if curves is not None:
-        motion, ops = _Curves(clip, frames, shutter, curves), ops.with_scalars()
+        motion, ops = _Curves(clip, frames, shutter, curves, _splines_of(earlier)), ops.with_scalars()
 
     path.parent.mkdir(parents=True, exist_ok=True)
     layer = Sdf.Layer.CreateNew(str(path))
@@ -256,6 +257,7 @@ class _Curves:
         frames: tuple[int, int],
         shutter: tuple[float, float] | None,
         tolerances: Tolerances,
+        earlier: Mapping[str, Curve],
     ) -> None:
         from pxr import Sdf, Usd
 
@@ -267,7 +269,7 @@ class _Curves:
         first, last = max(frames[0], clip.start_frame), min(frames[1], clip.end_frame)
         self.frames = instants(first + min(opens, 0.0), last + max(closes, 0.0))
         self.at = clip_at(clip, self.frames)
-        self.tolerances = tolerances
+        self.tolerances, self.earlier = tolerances, earlier
 
     def author_pose(self, root: Any, ops: RigOps, units: Units) -> None:
         from pxr import Sdf
@@ -275,12 +277,13 @@ class _Curves:
         positions, q = units.points(self.at.positions), units.poses(self.at.orientations)
         order = list(ops.orders[""])
         places = [ops.translate.replace("translate", f"translate{axis}") for axis in "XYZ"]
-        for name, curve in zip(
-            places, fit_positions(self.frames, positions, self.tolerances.distance / units.metres), strict=True
-        ):
+        before = [self._before(root, name) for name in places]
+        placed = fit_positions(self.frames, positions, self.tolerances.distance / units.metres, before)
+        for name, curve in zip(places, placed, strict=True):
             _author_curve(root, name, curve)
         angle = self.tolerances.angle
-        turned = fit_rotations(self.frames, q, angle)
+        about = lambda axis: self._before(root, ops.orient.replace("orient", f"rotate{axis}"))
+        turned = fit_rotations(self.frames, q, angle, about)
         turns = [ops.orient]
         if turned is None:
             frames = sampled_frames(self.frames, q, angle)
@@ -296,7 +299,29 @@ class _Curves:
 
     def author_channel(self, spec: Any, channel: str, op: str, factor: float) -> None:
         values, tolerance = self.at.channels[channel], self.tolerances.channels[channel]
-        _author_curve(spec, op, fit(self.frames, values * factor, tolerance * abs(factor)))
+        _author_curve(spec, op, fit(self.frames, values * factor, tolerance * abs(factor), self._before(spec, op)))
+
+    def _before(self, spec: Any, op: str) -> Curve | None:
+        return self.earlier.get(str(spec.path.AppendProperty(op)))
+
+
+def _splines_of(path: Path | None) -> dict[str, Curve]:
+    """Path of an op -> the curve of its spline, in the layer ``path``; none if there is no such layer."""
+    from pxr import Sdf
+
+    if path is None or not path.is_file():
+        return {}
+    with quiet():
+        layer = Sdf.Layer.OpenAsAnonymous(str(path))
+    found: dict[str, Curve] = {}
+
+    def visit(op: Any) -> None:
+        attribute = layer.GetAttributeAtPath(op) if op.IsPropertyPath() else None
+        if attribute and attribute.HasSpline() and (curve := Curve.of(attribute.GetSpline())):
+            found[str(op)] = curve
+
+    layer.Traverse("/", visit)
+    return found
 
 
 def _author_curve(prim: Any, name: str, curve: Curve) -> None:

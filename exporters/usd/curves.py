@@ -3,7 +3,8 @@
 A curve passes within its tolerance of the clip at 64 instants of every frame. Its tangents have the clip's slopes;
 their widths are fitted, which needs half as many keys as widths of a third. Keys are on whole frames, except where
 motion changes faster than one key per frame can follow. Where a channel turns one way, its curve does too. The root's
-orientation becomes three rotations, in the order that stays farthest from gimbal lock.
+orientation becomes three rotations, in the order that stays farthest from gimbal lock. Where an earlier curve still
+shows the motion, as outside an animator's edit, its keys stay.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ LOCK = np.radians(10.0)
 """Least distance of the middle rotation from gimbal lock, rad; closer to it, orientations are sampled."""
 COMFORT = np.radians(30.0)
 """A distance from gimbal lock at which the usual order, heading, pitch, roll, is kept."""
+SAME = 1e-3
+"""Share of the tolerance by which a key of an earlier curve may be off, in value and, over its segment, in slope."""
 DAMPING = 1e-6
 """Share of the trace of the normal equations that is added to their diagonal: for a straight line they are singular."""
 WIDTHS = (0.03, 0.9)
@@ -60,6 +63,21 @@ class Curve:
         s = _parameters((t - self.frames[k]) / h, widths / h)
         points = _control_points(self.values[k], self.values[k + 1], slopes, widths)
         return np.asarray((_weights(s) * points).sum(axis=0))
+
+    @classmethod
+    def of(cls, spline: Any) -> Curve | None:
+        """The curve of USD's ``spline``; None if it is no cubic Bezier curve without jumps and loops."""
+        from pxr import Ts
+
+        knots = list(spline.GetKnots().values()) if spline else []
+        smooth = all(k.GetNextInterpolation() == Ts.InterpCurve and not k.IsDualValued() for k in knots)
+        if len(knots) < 2 or spline.GetCurveType() != Ts.CurveTypeBezier or spline.HasLoops() or not smooth:
+            return None
+        slopes = np.array([[k.GetPreTanSlope(), k.GetPostTanSlope()] for k in knots])
+        widths = np.array([[k.GetPreTanWidth(), k.GetPostTanWidth()] for k in knots])
+        return cls(
+            np.array([k.GetTime() for k in knots]), np.array([k.GetValue() for k in knots], float), slopes, widths
+        )
 
     def spline(self) -> Any:
         """The same curve for USD."""
@@ -93,18 +111,25 @@ def instants(first: float, last: float) -> Array:
     return first + np.arange(round((last - first) * INSTANTS) + 1) / INSTANTS
 
 
-def fit(frames: Array, values: Array, tolerance: float) -> Curve:
+def fit(frames: Array, values: Array, tolerance: float, earlier: Curve | None = None) -> Curve:
     """A curve within ``tolerance`` of ``values`` (n,) at ``frames`` (n,), `instants` that start on a whole frame.
 
-    From key to key, the longest segment that fits is chosen. Both ends of a standstill are keys.
+    From key to key, the longest segment that fits is chosen. Both ends of a standstill are keys. Segments of an
+    ``earlier`` curve that show the values, up to a constant, are kept.
     """
     values = np.asarray(values, float)
     if len(frames) == 1 or np.ptp(values) == 0:
         return Curve(frames[:1], values[:1], np.zeros((1, 2)), np.zeros((1, 2)))
     slopes = _slopes(values, tolerance)
+    kept = {} if earlier is None else _kept(earlier, frames, values, slopes, tolerance)
     keys, segments = [0], []
-    for stop in _standstills(values):
+    for stop in sorted({*_standstills(values), *kept, *(end for end, _ in kept.values())}):
         while keys[-1] < stop:
+            if keys[-1] in kept:
+                end, tangents = kept[keys[-1]]
+                keys.append(end)
+                segments.append(tangents)
+                continue
             end, tangents = _farthest(values[: stop + 1], slopes, keys[-1], tolerance)
             if not _fits(values[keys[-1] : end + 1], tangents, tolerance):  # between the probes
                 end, tangents = _farthest(values[: stop + 1], slopes, keys[-1], tolerance, everywhere=True)
@@ -115,6 +140,28 @@ def fit(frames: Array, values: Array, tolerance: float) -> Curve:
     chosen[1:, :, 0] = [[slopes[1], widths[1]] for slopes, widths in segments]
     chosen[[0, -1], 0, [0, 1]] = chosen[[0, -1], 0, [1, 0]]
     return Curve(frames[keys], values[keys], chosen[:, 0] * INSTANTS, chosen[:, 1] / INSTANTS)
+
+
+def _kept(
+    earlier: Curve, frames: Array, values: Array, slopes: Array, tolerance: float
+) -> dict[int, tuple[int, _Tangents]]:
+    """First index -> last index and tangents of the segments of an ``earlier`` curve that show ``values`` (n,) up to a
+    constant: what accumulates, such as the angle of a wheel, is shifted behind an edit."""
+    rows = np.round((earlier.frames - frames[0]) * INSTANTS).astype(int)
+    lengths, widths = np.diff(earlier.frames), np.stack([earlier.widths[:-1, 1], earlier.widths[1:, 0]])
+    whole = (rows >= 0) & (rows < len(frames))
+    whole &= np.abs(earlier.frames - frames[np.clip(rows, 0, len(frames) - 1)]) < 1e-9
+    usable = whole[:-1] & whole[1:] & (widths >= 0).all(axis=0) & (widths.sum(axis=0) <= lengths * (1 + 1e-9))
+    off, same, found = values - earlier(frames), SAME * tolerance, {}
+    for k in np.flatnonzero(usable).tolist():
+        a, b = int(rows[k]), int(rows[k + 1])
+        own = np.array([earlier.slopes[k, 1], earlier.slopes[k + 1, 0]]) / INSTANTS
+        wanted, rise = np.array([slopes[a, 1], slopes[b, 0]]), values[b] - values[a]
+        turned = np.abs(own - wanted) * (b - a) > same
+        turned &= (own != 0) | (wanted * rise > 0)  # a slope against the rise was set to 0
+        if not turned.any() and abs(off[b] - off[a]) <= same and np.abs(off[a : b + 1] - off[a]).max() <= tolerance:
+            found[a] = b, _Tangents(own, widths[:, k] * INSTANTS)
+    return found
 
 
 def _standstills(values: Array) -> list[int]:
@@ -248,19 +295,26 @@ _PROBES = _weights(np.linspace(0, 1, 26)[1:-1]).T
 # ---------------------------------------------------------------- poses
 
 
-def fit_positions(frames: Array, positions: Array, tolerance: float) -> list[Curve]:
-    """Curves of x, y and z whose distance from ``positions`` (n, 3) is at most ``tolerance``."""
+def fit_positions(
+    frames: Array, positions: Array, tolerance: float, earlier: Sequence[Curve | None] = (None, None, None)
+) -> list[Curve]:
+    """Curves of x, y and z whose distance from ``positions`` (n, 3) is at most ``tolerance``. ``earlier``: as for
+    `fit`."""
     return _fit_together(
         frames,
         positions,
         tolerance,
         lambda curves: np.linalg.norm(np.stack([c(frames) for c in curves], 1) - positions, axis=1),
+        earlier,
     )
 
 
-def fit_rotations(frames: Array, q: Array, angle: float) -> tuple[str, list[Curve]] | None:
+def fit_rotations(
+    frames: Array, q: Array, angle: float, earlier: Callable[[str], Curve | None] = lambda axis: None
+) -> tuple[str, list[Curve]] | None:
     """Three rotations whose product is within ``angle`` rad of unit quaternions (n, 4): their axes, such as "ZYX", from
-    the outermost, and their curves in degrees. None if every order comes too close to gimbal lock."""
+    the outermost, and their curves in degrees. None if every order comes too close to gimbal lock. ``earlier``: those
+    about an axis, as for `fit`."""
     from scipy.spatial.transform import Rotation
 
     rotations = Rotation.from_quat(q, scalar_first=True)
@@ -273,7 +327,9 @@ def fit_rotations(frames: Array, q: Array, angle: float) -> tuple[str, list[Curv
         turned = np.radians(np.stack([curve(frames) for curve in curves], 1))
         return angles_between(Rotation.from_euler(axes, turned).as_quat(scalar_first=True), q)
 
-    degrees = _fit_together(frames, np.degrees(angles), np.degrees(angle), lambda c: np.degrees(error(c)))
+    degrees = _fit_together(
+        frames, np.degrees(angles), np.degrees(angle), lambda c: np.degrees(error(c)), [*map(earlier, axes)]
+    )
     return axes, degrees
 
 
@@ -295,13 +351,18 @@ def _order(rotations: Any) -> tuple[str, Array]:
 
 
 def _fit_together(
-    frames: Array, values: Array, tolerance: float, error: Callable[[Sequence[Curve]], Array]
+    frames: Array,
+    values: Array,
+    tolerance: float,
+    error: Callable[[Sequence[Curve]], Array],
+    earlier: Sequence[Curve | None],
 ) -> list[Curve]:
     """Curves of the columns of ``values`` whose joint error is within ``tolerance``: each within the same share of it,
     which is lowered as far as necessary."""
     share = 1.0
     while True:
-        curves = [fit(frames, column, share * tolerance) for column in values.T]
+        within = share * tolerance
+        curves = [fit(frames, column, within, before) for column, before in zip(values.T, earlier, strict=True)]
         largest = float(error(curves).max())
         if largest <= tolerance or share < 1e-3:
             return curves

@@ -172,7 +172,8 @@ def write_layers(take: Take, name: str, pack: Pack, units: Units) -> dict[str, P
     rig = clip.vehicle.rig
     tolerances = None if settings.curves is None or rig is None else curve_tolerances(rig, *settings.curves)
     if tolerances is not None:
-        forms["curves"] = {"shutter": settings.shutter, "curves": tolerances}
+        earlier = take.retouches and take.retouches / "layers" / LAYERS["curves"].format(name)
+        forms["curves"] = {"shutter": settings.shutter, "curves": tolerances, "earlier": earlier}
     layers = {}
     for form, how in forms.items():
         layer = pack.folder / "layers" / LAYERS[form].format(name)

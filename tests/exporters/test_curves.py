@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Ts, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 import vehsim
 from vehsim.delivery.take import UsdSettings
 from vehsim.errors import ExportError
-from vehsim.exporters.usd.curves import fit, fit_rotations, instants
+from vehsim.exporters.usd.curves import Curve, count_keys, fit, fit_rotations, instants
 from vehsim.exporters.usd.exporter import write_usd
 from vehsim.exporters.usd.readback import world_matrices
 from vehsim.rig.edited import parts_moved
@@ -188,6 +188,69 @@ def test_widths_of_tangents_save_keys():
         spline, between = curve.spline(), np.linspace(1001, 1241, 997)
         assert np.abs([spline.Eval(frame) for frame in between.tolist()] - curve(between)).max() < 1e-8
     assert len(curves[1].frames) < 5 * len(curves[0].frames)
+
+
+def edited_turns(frames):
+    """A wheel's angle in degrees, before and after an edit about frame 1101 that turns it by 300 more."""
+    t = (frames - 1001) / 24
+    values = 2000.0 * t + 900.0 * np.sin(t) + 40.0 * np.sin(5 * t)
+    return values, values + 150.0 * (1 + np.tanh((frames - 1101) / 3))
+
+
+def test_keys_stay_where_an_earlier_curve_shows_the_motion():
+    """Behind the edit the wheel has turned farther; its keys stay on their frames, with their tangents."""
+    frames, tolerance = instants(1001, 1241), 0.05
+    values, more = edited_turns(frames)
+    earlier = fit(frames, values, tolerance)
+    made, anew = fit(frames, more, tolerance, earlier), fit(frames, more, tolerance)
+    assert np.abs(made(frames) - more).max() <= tolerance and (np.diff(made(frames)) > 0).all()
+    for curve, same in ((made, True), (anew, False)):
+        behind = [(c.frames > 1130) & (c.frames < 1241) for c in (earlier, curve)]
+        assert (set(earlier.frames[behind[0]]) == set(curve.frames[behind[1]])) is same
+    kept = np.isin(made.frames, earlier.frames) & ((made.frames < 1065) | (made.frames > 1140))
+    rows = np.searchsorted(earlier.frames, made.frames[kept])
+    assert np.array_equal(made.slopes[kept], earlier.slopes[rows])
+    assert np.array_equal(made.widths[kept], earlier.widths[rows])
+    assert np.abs(made.slopes[1:-1, 0] - made.slopes[1:-1, 1]).max() < 1e-5, "one slope per key, also at the seams"
+    assert len(made.frames) <= len(anew.frames) + 4
+
+
+def test_a_delivery_that_retouches_another_keeps_its_keys(tmp_path, toys, make_take):
+    """A coarser tolerance needs fewer keys; those of the retouched delivery show the motion too, so they stay."""
+    take = make_take(toys.clip(toys.asset(tmp_path / "in" / "toy.usda")))
+    coarse = replace(take, usd=UsdSettings(curves=(20 * TOLERANCE, 20 * ANGLE)))
+    curved(take, tmp_path / "before", toys)
+    write_usd(coarse, tmp_path / "anew", toys.silent)
+    write_usd(replace(coarse, retouches=tmp_path / "before"), tmp_path / "kept", toys.silent)
+    before, anew, kept = (
+        count_keys(Sdf.Layer.FindOrOpen(str(tmp_path / name / "layers" / "toy0.curves.usda")))
+        for name in ("before", "anew", "kept")
+    )
+    assert kept == before and sum(anew.values()) < sum(before.values())
+
+
+def test_keys_of_a_coarse_curve_do_not_stay_under_a_finer_tolerance():
+    frames = instants(1001, 1241)
+    values, _ = edited_turns(frames)
+    coarse = fit(frames, values, 5.0)
+    assert np.abs(fit(frames, values, 0.05, coarse)(frames) - values).max() <= 0.05
+
+
+def test_a_curve_is_read_from_its_spline():
+    frames = instants(1001, 1241)
+    curve = fit(frames, edited_turns(frames)[0], 0.05)
+    read = Curve.of(curve.spline())
+    for part in ("frames", "values", "slopes", "widths"):
+        assert np.array_equal(getattr(read, part), getattr(curve, part))
+    jump = curve.spline()
+    knot = jump.GetKnot(float(curve.frames[3]))
+    knot.SetPreValue(0.0)
+    jump.SetKnot(knot)
+    held = curve.spline()
+    knot = held.GetKnot(float(curve.frames[3]))
+    knot.SetNextInterpolation(Ts.InterpHeld)
+    held.SetKnot(knot)
+    assert Curve.of(jump) is None and Curve.of(held) is None
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -11,6 +11,7 @@ import signal
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -185,7 +186,7 @@ def retouch(
     with logged(delivery.name, str(delivery)) if log is Log.json else _progress(quiet) as progress:
         edited = edited_shot(delivery, edit, shot, progress)
         _arguments.check_delivery(names, out, edited)
-        take = edited.solve(progress, checked=True)
+        take = replace(edited.solve(progress, checked=True), retouches=delivery)
         folder = take.export(out, names, progress)
     if not silent:
         for line in summary(take):

@@ -120,6 +120,8 @@ class Take:
     cuts: tuple[tuple[int, str], ...] = ()
     recalled: bool = False
     """Whether the motion comes from the cache"""
+    retouches: Path | None = None
+    """The folder of the delivery that it retouches, whose curves stay where they still show the motion"""
 
     @property
     def content_hash(self) -> str:

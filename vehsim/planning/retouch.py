@@ -54,14 +54,13 @@ KEPT = 0.01
 """Largest distance of untouched frames from the solved motion, m."""
 AT_KNOTS = 0.8
 """Share of `KEPT` that knots may use: the motion between them needs the rest."""
-ROOM = 1.0
-"""How long before and after the touched frames the vehicle may prepare and recover, s."""
-SEGMENTS = (1 / 12, 1 / 24)
-"""Duration of a segment, s, and the shorter one that is tried if it fails: linear controls must be able to show those
-of the solved motion."""
+TRIES = ((1.0, 1 / 12), (1.5, 1 / 12), (1.0, 1 / 24), (1.5, 1 / 24))
+"""How long before and after the touched frames the vehicle may prepare and recover, s, and the duration of a segment,
+s, until a motion is found: a car at the limit of its grip needs longer to return, and linear controls must be able to
+show those of the solved motion."""
 FEWEST = 6
 """Smallest number of segments of a window."""
-ITERATIONS = 100
+ITERATIONS = 60
 """Largest number of iterations of a solve; the solved motion is near, so most need fewer than 30."""
 NEAR = 0.02
 """Distance from the edit that costs one per second, m."""
@@ -142,13 +141,16 @@ def retouch(
             "move its mark and solve it again, or edit other frames",
             subject=clip.vehicle.name,
         )
-    windows = edit.windows(round(ROOM * float(clip.fps)), [*stops, *edit.frames[landed]])
-    made = clip
-    for number, window in enumerate(windows):
-        if progress is not None:
-            progress(f"retouching frames {window[0]} to {window[1]}", number / len(windows))
-        motion = _solved(clip, world, edit, window, clearance, limits, progress)
-        made = _replaced(made, motion, window)
+    fixed = [*stops, *edit.frames[landed]]
+    for room, segment in TRIES:
+        windows = edit.windows(round(room * float(clip.fps)), fixed)
+        try:
+            made = _solved_again(clip, world, edit, windows, segment, clearance, limits, progress)
+            break
+        except SolveError as error:
+            failed = error
+    else:
+        raise failed
     there = made.at(_times(made, edit.frames))
     metres, degrees = _apart(there, edit.positions, edit.rotations, edit.axes)
     before = clip.at(_times(clip, edit.frames))
@@ -237,29 +239,33 @@ class _Edit:
         return np.asarray(still[high + 1] == still[low])
 
 
-def _solved(
+def _solved_again(
     clip: Clip,
     world: Any,
     edit: _Edit,
-    window: tuple[int, int],
+    windows: Sequence[tuple[int, int]],
+    segment: float,
     clearance: float,
     limits: Mapping[str, float] | None,
     progress: Progress | None,
 ) -> Clip:
-    """The motion of a window, from the state of ``clip`` at its first frame to that at its last. Raises
-    ``SolveError``."""
-    seconds = (window[1] - window[0]) / float(clip.fps)
-    for segment in SEGMENTS:
-        count = max(FEWEST, int(np.ceil(seconds / segment)))
+    """The clip with another motion in every window, from the state of ``clip`` at its first frame to that at its last,
+    on segments of about ``segment`` s. Raises ``SolveError``."""
+    made = clip
+    for number, window in enumerate(windows):
+        if progress is not None:
+            progress(f"retouching frames {window[0]} to {window[1]}", number / len(windows))
+        count = max(FEWEST, int(np.ceil((window[1] - window[0]) / float(clip.fps) / segment)))
         request, iterate = _attempt(clip, world, edit, window, count, clearance, limits, progress)
-        if iterate.success:
-            return exported(iterate.clip, request)
-    why = iterate.worst() if iterate.solution else "not solved"
-    raise SolveError(
-        f"frames {window[0]} to {window[1]} of the edit: no motion leads back to the solved one: {why}",
-        "edit less, or more frames around it",
-        subject=clip.vehicle.name,
-    )
+        if not iterate.success:
+            why = iterate.worst() if iterate.solution else "not solved"
+            raise SolveError(
+                f"frames {window[0]} to {window[1]} of the edit: no motion leads back to the solved one: {why}",
+                "edit less, or more frames around it",
+                subject=clip.vehicle.name,
+            )
+        made = _replaced(made, exported(iterate.clip, request), window)
+    return made
 
 
 def _attempt(

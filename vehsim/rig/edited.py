@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.intake.usd import open_stage
-from vehsim.rig.blocking import nearest_rotations, rigid_poses, rigid_poses_of
+from vehsim.rig.blocking import nearest_rotations, rigid_poses_of
 from vehsim.rig.ops import open_rig
 from vehsim.rig.posed import posed
 
@@ -49,14 +49,19 @@ def others_moved(edited: Path, delivered: Path, vehicles: Collection[str]) -> li
     stages = open_stage(delivered), open_stage(edited)
     first, last = stages[0].GetStartTimeCode(), stages[0].GetEndTimeCode()
     whole = np.arange(np.ceil(first), np.floor(last) + 1)
+    shared = [path for path in _placed(stages[0], vehicles) if _can_move(stages[1].GetPrimAtPath(path))]
+    pairs = {path: [stage.GetPrimAtPath(path) for stage in stages] for path in shared}
+    moving = [path for path, prims in pairs.items() if any(map(_varies, prims))]
+    shown: dict[str, list[Array]] = {path: [] for path in pairs}
+    for paths, at in ((moving, whole), ([path for path in pairs if path not in moving], whole[:1])):
+        for k, stage in enumerate(stages):
+            poses = rigid_poses_of(stage, [pairs[path][k] for path in paths], at)
+            for path, pose in zip(paths, poses, strict=True):
+                shown[path].append(pose)
     found: list[Moved] = []
-    for path in _placed(stages[0], vehicles):
-        prims = [stage.GetPrimAtPath(path) for stage in stages]
-        if not _can_move(prims[1]) or _below(path, found):
-            continue
-        frames = whole if any(map(_varies, prims)) else whole[:1]
-        before, after = (rigid_poses(stage, prim, frames) for stage, prim in zip(stages, prims, strict=True))
-        found += _apart(path, frames, before, after)
+    for path, (before, after) in shown.items():
+        if not _below(path, found):
+            found += _apart(path, whole[: len(before)], before, after)
     return found
 
 
