@@ -279,14 +279,23 @@ def _hash(clip: Clip) -> str:
 def _memory(after: Clip, steps: int, settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """What a clip that is continued for ``steps`` in all left. Raises ``InputError``."""
     ending = _left(after)
-    for key, earlier in _unlike(ending["settings"], settings).items():
+    now = _single(settings)
+    for key, earlier in _unlike(_single(ending["settings"]), now).items():
         message = f"the clip to be continued has {earlier}"
-        raise InputError(message, "continue it with the same", key=key, value=settings.get(key))
+        raise InputError(message, "continue it with the same", key=key, value=now.get(key))
     if len(after) > steps + 1:
         message = f"has {len(after) - 1} steps, more than the {steps} of the whole duration"
         raise InputError(message, "give a longer duration, which counts from the start", key="after")
     memory: Mapping[str, Any] = ending["memory"]
     return memory
+
+
+def _single(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with those in a mapping under keys of their own, such as ``start.position``."""
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        found |= {f"{key}.{part}": one for part, one in value.items()} if isinstance(value, Mapping) else {key: value}
+    return found
 
 
 def changed_surroundings(after: Clip, world: World) -> dict[str, tuple[Any, Any]]:

@@ -160,11 +160,11 @@ def test_what_differs_from_the_earlier_call_is_named() -> None:
     assert len(go_on()) == 25
     changes: dict[str, dict[str, Any]] = {
         "vehicle": {"vehicle": car, "world": None, "controls": [300.0, 0.1]},
-        "vehicle.parameters": {"vehicle": other},
+        "vehicle.parameters.mass": {"vehicle": other},
         "step": {"step": 1 / 96},
         "fps": {"fps": 12},
         "start_frame": {"start_frame": 1},
-        "start": {"start": State(position=(1, 0, 0))},
+        "start.position": {"start": State(position=(1, 0, 0))},
         "actuators": {"actuators": False},
         "world": {"world": None},
         "controls": {"vehicle": car, "world": None, "controls": helm, "clip": rolled, "step": 1 / 240},
