@@ -1,5 +1,7 @@
 """Flight among obstacles: clear according to another library, between knots too; and landings."""
 
+from types import SimpleNamespace
+
 import igl
 import numpy as np
 import pytest
@@ -10,9 +12,13 @@ from scipy.spatial.transform import Rotation
 import vehsim
 from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
+from vehsim.planning import planner
 from vehsim.planning.certificates import certify
+from vehsim.planning.guesses import routes
+from vehsim.planning.guesses.routes import around
 from vehsim.planning.request.landing import landing_clearance
 from vehsim.planning.request.ranges import stay
+from vehsim.planning.request.request import make_request
 from vehsim.rig.parts import solids
 from vehsim.world.distance.clearance import ObstacleScene
 from vehsim.world.ground.touchdown import height_below, put_down
@@ -298,6 +304,41 @@ def test_a_helicopter_flies_level_through_a_gap_that_its_spheres_do_not_fit(heli
     inside = np.abs(plan.clip.positions[:, 0]) < 4
     up = plan.clip.matrices()[inside, 2, 2]
     assert np.degrees(np.arccos(up.min())) < 20
+
+
+def terrain_with_gap(folder, width):
+    """Ground with a wall 60 m high and 300 m long, with a gap in its middle, as one mesh."""
+    walls = [((57, s * width / 2, -1), (63, s * (width / 2 + 150), 60)) for s in (1, -1)]
+    boxes = [trimesh.creation.box(bounds=np.sort(corners, axis=0)) for corners in walls]
+    ground = trimesh.creation.box(bounds=[(-100, -250, -2), (250, 250, 0)])
+    path = folder / f"gap{width}.obj"
+    trimesh.util.concatenate([ground, *boxes]).export(path)
+    return World(terrain=path)
+
+
+def test_a_gap_that_saves_a_long_way_is_flown_through(helicopter, tmp_path):
+    """Its walls are terrain, whose spheres need 15.8 m and a 2.2 m grid: the way around is three times as long."""
+    marks = [
+        Mark(1, position=(0, 10, 15), heading=0, velocity=REST),
+        Mark(441, position=(120, -10, 15), velocity=REST),
+    ]
+    plan = vehsim.plan(helicopter, terrain_with_gap(tmp_path, 16.0), marks, segments=48)
+    assert plan.success, plan.message
+    assert plan.clearance > 0.99
+    assert np.linalg.norm(np.diff(plan.clip.positions, axis=0), axis=1).sum() < 130
+
+
+def test_where_a_gap_is_too_hard_the_way_around_it_is_tried(helicopter, tmp_path, monkeypatch):
+    """8 m is passed only on the side."""
+    ends = np.array([(0, 10, 15), (60, 0, 15), (120, -10, 15)], float)
+    marks = [Mark(1 + 600 * k, position=ends[2 * k], heading=0, velocity=REST) for k in (0, 1)]
+    request = make_request(helicopter, terrain_with_gap(tmp_path, 8.0), marks, fps=24, segments=48)
+    (way,) = around(request, [ends])
+    assert np.abs(way[:, 1]).max() > 150 and around(request, [way]) == []
+    monkeypatch.setattr(routes, "find_paths", lambda *_: [ends])
+    flown = SimpleNamespace(success=True)
+    monkeypatch.setattr(planner, "_gentle", lambda request, progress, path: path if path is None else flown)
+    assert planner._unless_too_hard(request, None, None) is flown
 
 
 @pytest.mark.parametrize("character", ["normal", "stunt"])

@@ -15,7 +15,7 @@ from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.explain.elastic import diagnose, too_early
 from vehsim.planning.guesses.drive import drive
 from vehsim.planning.guesses.pace import fewest_segments
-from vehsim.planning.guesses.routes import as_clip, backwards, shunting
+from vehsim.planning.guesses.routes import around, as_clip, backwards, shunting
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import bent, divided, legs_between, path_length, placed_marks
@@ -90,12 +90,13 @@ def with_fewer_requirements(
 def from_other_guesses(run: Run, failed: Iterate, paths: Sequence[Array], guess: Any) -> Iterate:
     """The iterate solved from other initial guesses, or the failed one with the reason.
 
-    A vehicle that drives nose first tries to reverse, then to change its direction on the way. Then, in free space, a
+    A flight through a narrow place tries the way around it. A vehicle that drives nose first tries to reverse, then to
+    change its direction on the way. Then, in free space, a
     relaxed problem finds out whether the marks can be met together at all. Near obstacles this comes last, since
     relaxed problems take longer there.
     """
     iterate = failed
-    for other in (backwards, shunting) if guess is None else ():
+    for other in (around, backwards, shunting) if guess is None else ():
         if iterate.success or run.deadline.late:
             return iterate
         if driven := other(iterate.request, paths):

@@ -32,7 +32,7 @@ from vehsim.planning.fallbacks import (
     in_narrow_places,
     with_fewer_requirements,
 )
-from vehsim.planning.guesses.routes import as_clip, find_paths, reversing, straight
+from vehsim.planning.guesses.routes import as_clip, find_paths, reversing, roundabout, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET
@@ -271,12 +271,15 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
 def _unless_too_hard(request: Request, progress: Progress | None, guess: Any) -> Plan | None:
     """The plan in its character; None if it exceeds that by far, and there is a harder one.
 
-    Where a vehicle turned round at such a cost, it is tried in reverse.
+    Where a vehicle turned round at such a cost, it is tried in reverse; where it flew through a narrow place, the
+    way around it.
     """
     made = _gentle(request, progress, guess)
-    if made is None and guess is None and (tail_first := reversing(request)) is not None:
-        again = _gentle(request, progress, tail_first)
-        made = again if again is not None and again.success else None
+    for other in (reversing, roundabout) if made is None and guess is None else ():
+        if (path := other(request)) is not None:
+            again = _gentle(request, progress, path)
+            if again is not None and again.success:
+                return again
     return made
 
 

@@ -21,7 +21,7 @@ from vehsim.planning.request.marks import Mark, heading_of
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
 from vehsim.planning.request.request import Request, search_boxes
 from vehsim.planning.trim import swims
-from vehsim.runtime.progress import Progress
+from vehsim.runtime.progress import Progress, silent
 from vehsim.vehicles import Vehicle
 from vehsim.world.distance.route import check_free
 
@@ -62,20 +62,53 @@ def _flown(request: Request, kept: Sequence[Mark], progress: Progress) -> list[A
     `DETOUR` times as long.
     """
     _, roomy, tight = balls(request.vehicle)
-
-    def search(radius: float, box: Array | None) -> list[Array] | None:
-        try:
-            return _routes(request, kept, progress, radius, box)
-        except SolveError:
-            return None
-
     near, *wider = search_boxes(request)
-    found = search(roomy, near)
+    shortest = sum(math.dist(a, b) for a, b in legs_between(kept))
+
+    def shortened(found: list[Array] | None, radius: float) -> list[Array] | None:
+        """The route for a ball of that radius instead, if the one found is a detour."""
+        if found is not None and _length(found) <= DETOUR * shortest:
+            return found
+        narrow = _searched(request, kept, progress, radius, near)
+        return found if found and (narrow is None or _length(found) <= DETOUR * _length(narrow)) else narrow
+
+    found = _searched(request, kept, progress, roomy, near)
     if found is None and wider:
-        narrow, found = search(tight, near), search(roomy, wider[0])
-        if narrow is not None and (found is None or _length(found) > DETOUR * _length(narrow)):
-            found = narrow
-    return divided(found or _routes(request, kept, progress, tight, wider[0] if wider else near), request.marks)
+        found = _searched(request, kept, progress, roomy, wider[0])
+    found = shortened(found, tight)
+    if found is None:
+        return divided(_routes(request, kept, progress, tight, wider[0] if wider else near), request.marks)
+    spacing = request.world.distance_field(progress, box=near).spacing  # the middle of a gap may be between its points
+    return divided(shortened(found, tight - spacing) or found, request.marks)
+
+
+def around(request: Request, paths: Sequence[Array]) -> list[Array]:
+    """Routes with room for the vehicle at every attitude, where ``paths`` lead through narrower places; else none."""
+    if not request.hazards:
+        return []
+    kept, (_, roomy, _) = [request.marks[i] for i in placed_marks(request.marks)], balls(request.vehicle)
+    for box in search_boxes(request):
+        found = _searched(request, kept, silent, roomy, box)
+        if found is not None:
+            wide = divided(found, request.marks)
+            return [] if math.isclose(_length(wide), _length(paths)) else wide
+    return []
+
+
+def roundabout(request: Request) -> Array | None:
+    """The path (k, 3) around the narrow places of the route that `find_paths` chooses; None if it has none."""
+    way = around(request, find_paths(request, None, silent)) if request.hazards else []
+    return np.vstack(way) if way else None
+
+
+def _searched(
+    request: Request, kept: Sequence[Mark], progress: Progress, radius: float, box: Array | None
+) -> list[Array] | None:
+    """The same as `_routes`; None if there is no route."""
+    try:
+        return _routes(request, kept, progress, radius, box)
+    except SolveError:
+        return None
 
 
 def _routes(
