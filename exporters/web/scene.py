@@ -257,7 +257,7 @@ def _motion(pack: Packing, take: Take, poses: Array, stage: StageReader) -> dict
             for group, pose in zip(stage.groups, poses, strict=True)
         ],
         "paths": list(_paths(pack, clips, stage)),
-        "marks": [_placed(mark, -stage.origin) for mark in _marks(take)],
+        "marks": [_placed(mark, -stage.origin) for mark in marks_shown(take)],
         "notes": [_placed(note, -stage.origin) for note in take.report.get("shot", {}).get("note", [])],
         "curves": [curve for name, clip in clips.items() for curve in _curves(pack, take, name, clip)],
     }
@@ -479,8 +479,8 @@ def _placed(one: Mapping[str, Any], by: Array) -> dict[str, Any]:
     return {**one, "position": (np.asarray(place, float) + by[: len(place)]).tolist()}
 
 
-def _marks(take: Take) -> Iterator[dict[str, Any]]:
-    """The marks with a place: vehicle, frame, position; heading in degrees where the motion passes."""
+def marks_shown(take: Take) -> Iterator[dict[str, Any]]:
+    """The marks with a place: vehicle, index, frame, position; heading in degrees where the motion passes."""
     for name, marks in take.report.get("marks", {}).items():
         clip = take.clips[name]
         for k, mark in enumerate(marks):

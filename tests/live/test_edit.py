@@ -285,6 +285,22 @@ def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
     asyncio.run(play())
 
 
+def test_a_mark_is_added_before_one_whose_frame_is_free(tmp_path):
+    """The motion on the screen passes it, so the plan exists."""
+    from vehsim.live.messages import AddMark
+    from vehsim.live.session import Session
+
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT.replace("frame = 1073", 'frame = "free"'))
+    session = Session(path, tmp_path, lambda *_: None)
+    session.solve()
+    last = session.take.clips["car"].end_frame
+    session.add_mark(AddMark(kind="add_mark", vehicle="car", frame=(1001 + last) // 2))
+    marks = session.document.data["vehicle"][0]["motion"]["mark"]
+    assert [mark["frame"] for mark in marks] == [1001, (1001 + last) // 2, "free"]
+    assert session.solved, session.problems
+
+
 REST = "velocity = [0, 0, 0]"
 DRAGGED = {
     "joints by name": ("snakeboard", "", (5, 1.5, 0), f"joints = {{ psi = 0, phi = 0 }}\n{REST}"),

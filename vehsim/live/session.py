@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import glob
+import math
 import tempfile
 import threading
 import warnings
@@ -28,6 +29,7 @@ from vehsim.exporters.web.scene import (
     compared_block,
     draft_block,
     live_block,
+    marks_shown,
     motion_block,
     movable,
     scene_block,
@@ -422,17 +424,18 @@ class Session:
         """Add a mark where a planned vehicle is at a frame, and `solve`."""
         at, table = self._planned(wanted.vehicle)
         assert self._on_screen is not None and self.shot is not None
-        frames = [mark.frame for mark in table.motion.mark]
-        whole = [frame for frame in frames if isinstance(frame, int)]
-        if wanted.frame in whole or not whole[0] < wanted.frame:
+        shown = {one["index"]: one["frame"] for one in marks_shown(self._on_screen) if one["vehicle"] == wanted.vehicle}
+        frames = [
+            mark.frame if isinstance(mark.frame, int) else shown.get(k, math.inf)
+            for k, mark in enumerate(table.motion.mark)
+        ]
+        if wanted.frame in frames or not frames[0] < wanted.frame:
             raise InputError("needs a frame of its own after the first mark", key="frame", value=wanted.frame)
         clip = self._on_screen.clips[wanted.vehicle]
         place = clip_at(clip, np.array([float(wanted.frame)])).positions[0]
         if clip.vehicle.group.planar and self.shot.world.terrain is not None:
             place[2] = self.shot.world.height(place[None, :2])[0]
-        index = next(
-            (k for k, frame in enumerate(frames) if isinstance(frame, int) and frame > wanted.frame), len(frames)
-        )
+        index = next((k for k, frame in enumerate(frames) if frame > wanted.frame), len(frames))
         values = {"frame": wanted.frame, "position": [round(x, DECIMALS) for x in place.tolist()]}
         self.document.insert(f"vehicle[{at}].motion.mark", index, values)
         return self.solve()
