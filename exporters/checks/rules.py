@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -179,17 +180,54 @@ def _wrapped_steps(times: Sequence[float], values: Array) -> list[tuple[float, f
 
 
 def _invertible(stage: Any) -> Iterator[Issue]:
-    """No transform is singular: its content could not be placed, lit or picked."""
+    """No transform is singular, also between its keys: its content could not be placed, lit or picked."""
     from pxr import UsdGeom
 
     for prim in stage.Traverse():
         if prim.IsA(UsdGeom.Xformable) and prim.GetAuthoredPropertyNames():
-            matrix = np.array(UsdGeom.Xformable(prim).GetLocalTransformation(stage.GetStartTimeCode()))[:3, :3]
-            if not np.isfinite(matrix).all():
-                continue  # the rule of finite values reports it
-            sizes = np.linalg.svd(matrix, compute_uv=False)
-            if not sizes[-1] > 1e-9 * max(sizes[0], 1e-30):
-                yield Issue("error", "scale", str(prim.GetPath()), "its transform cannot be inverted", "fix its scale")
+            flat = _flattened(UsdGeom.Xformable(prim), stage.GetStartTimeCode())
+            if flat is not None:
+                when = f" at time code {flat:g}" if flat != stage.GetStartTimeCode() else ""
+                message = f"its transform cannot be inverted{when}"
+                yield Issue("error", "scale", str(prim.GetPath()), message, "fix its scale")
+
+
+def _flattened(xformable: Any, start: float) -> float | None:
+    """A time code at which the local transform of a prim is singular, ``start`` first; None if there is none.
+
+    Where its ops that scale have keys, these are read, and splines between them; where the transform is mirrored from
+    one to the next, the place between, unless it jumps there.
+    """
+    from pxr import UsdGeom
+
+    def shape(time: float) -> Array:
+        return np.array(xformable.GetLocalTransformation(time))[:3, :3]
+
+    def flat(time: float, within: float = 1e-9) -> bool:
+        matrix = shape(time)
+        if not np.isfinite(matrix).all():
+            return False  # the rule of finite values reports it
+        sizes = np.linalg.svd(matrix, compute_uv=False)
+        return bool(not sizes[-1] > within * max(sizes[0], 1e-30))
+
+    times = [start]
+    for op in xformable.GetOrderedXformOps():
+        if op.GetOpType() == UsdGeom.XformOp.TypeTransform or "scale" in op.GetOpName():
+            keys = key_times(op.GetAttr())
+            if len(keys) > 1 and not op.GetAttr().GetTimeSamples():
+                keys = [t for a, b in pairwise(keys) for t in np.linspace(a, b, WITHIN + 1).tolist()]
+            times += keys[:MOST_FRAMES]
+    if found := [time for time in times if flat(time)]:
+        return found[0]
+    times = sorted(set(times))
+    mirrored = [bool(np.linalg.det(shape(time)) < 0) for time in times]
+    for a, b, before, after in zip(times, times[1:], mirrored, mirrored[1:], strict=False):
+        while before != after and b - a > 1e-9 * max(1.0, abs(a)):
+            middle = (a + b) / 2
+            a, b = (middle, b) if (np.linalg.det(shape(middle)) < 0) == before else (a, middle)
+        if before != after and flat(a, 1e-4):
+            return a
+    return None
 
 
 def _op_orders(stage: Any) -> Iterator[Issue]:

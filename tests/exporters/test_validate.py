@@ -189,6 +189,43 @@ def bezier(points: list[tuple[float, float]], slope: float, width: float = 1 / 3
     return spline
 
 
+@pytest.mark.parametrize(
+    ("values", "held", "where"),
+    [
+        ([1, 2, 1], False, None),
+        ([1, 2, 0, 2], False, 21.0),  # at a key
+        ([1, 3, -1, -2], False, 18.5),  # between two keys, three quarters of the way
+        ([1, 3, -1, -2], True, None),  # mirrored at once
+        ([0, 1], False, 1.0),
+    ],
+)
+@pytest.mark.parametrize("spline", [True, False])
+def test_a_scale_that_passes_through_zero_is_found(tmp_path, values, held, where, spline):
+    from pxr import Ts, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "scale.usda"))
+    stage.SetStartTimeCode(1)
+    op = UsdGeom.Xform.Define(stage, "/ball").AddScaleXOp()
+    if spline:
+        curve = Ts.Spline("float")
+        for k, value in enumerate(values):
+            shape = Ts.InterpHeld if held else Ts.InterpLinear
+            curve.SetKnot(Ts.Knot("float", time=1.0 + 10 * k, value=float(value), nextInterp=shape))
+        op.GetAttr().SetSpline(curve)
+    else:
+        for k, value in enumerate(values):
+            if held and k:
+                op.Set(float(values[k - 1]), 10 * k + 1 - 1e-9)
+            op.Set(float(value), 1.0 + 10 * k)
+    stage.Save()
+    found = [issue.message for issue in validate_stage(tmp_path / "scale.usda") if issue.rule == "scale"]
+    if where is None:
+        assert not found
+    else:
+        (message,) = found
+        assert message == "its transform cannot be inverted" + (f" at time code {where:g}" if where != 1 else "")
+
+
 STEADY = [(1.0 + 10 * k, 300.0 * k) for k in range(5)]
 PARKING = [(1, 0), (21, 500), (41, 200), (61, 700)]
 
