@@ -159,3 +159,12 @@ def test_a_mark_without_a_heading_is_turned_until_the_leaning_hulls_have_room(as
     assert not list(marks_too_near(heli, slot(), found, 1.0, 24))
     # a given heading stays
     assert facing_clear(heli, slot(), faced, faced, 1.0, 24) == faced
+
+
+@pytest.mark.parametrize("name", ["drift_car", "rally_car"])
+def test_controls_without_effect_at_rest_are_released(name):
+    """The balance does not depend on brakes, which have bounds but no force at rest."""
+    vehicle = vehsim.load_vehicle(name)
+    controls = dict(zip([control.name for control in vehicle.controls], steady(vehicle, REST).controls, strict=True))
+    assert controls["brake"] == controls["handbrake"] == 0
+    assert np.allclose(list(controls.values()), 0, atol=1e-6)

@@ -64,8 +64,10 @@ def steady(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, ...
     found = np.asarray(solver(p=np.concatenate([*air, [size]]), **bounds)["x"]).ravel()
     controls, lean = found[: len(scale)] * scale, found[len(scale) :]
     roll, pitch = map(float, lean if len(lean) else np.zeros(2))
-    residual = np.asarray(law(controls, np.array([roll, pitch]), *air)[0]).ravel()
-    return Trim(controls, roll, pitch, residual, size)
+    residual, effect = map(np.asarray, law(controls, np.array([roll, pitch]), *air))
+    idle = ~effect.any(axis=0)  # such as brakes at rest: a start within the bounds is not a reason to pull them
+    controls[idle] = np.clip(0.0, *np.array([(control.lower, control.upper) for control in vehicle.controls]).T)[idle]
+    return Trim(controls, roll, pitch, residual.ravel(), size)
 
 
 @lru_cache(maxsize=16)
