@@ -309,6 +309,25 @@ def test_an_added_mass_that_contradicts_the_solved_one_is_left_out():
     np.testing.assert_array_equal(plausible(coupled, solved), solved)
 
 
+@pytest.mark.parametrize("name", HULLS)
+def test_only_hulls_in_which_waves_ring_are_warned_about(name, monkeypatch, recwarn):
+    """A thousandfold damping at one frequency, as between the hulls of a catamaran."""
+    from vehsim.world.water import boundary_elements
+
+    found, body = coefficients(name), afloat("barge")
+    damping = found.damping.copy()
+    damping[len(damping) // 2] *= 1000
+    monkeypatch.setattr(boundary_elements, "lookup", lambda *key: None)
+    for key in ("store", "shrink"):
+        monkeypatch.setattr(boundary_elements, key, lambda *given: None)
+    monkeypatch.setattr(boundary_elements, "_computed", lambda *given: found)
+    boundary_elements.coefficients(body.hull, 0.5)
+    assert not any("roll" in str(warning.message) for warning in recwarn)
+    monkeypatch.setattr(boundary_elements, "_computed", lambda *given: replace(found, damping=damping))
+    with pytest.warns(UserWarning, match="roll may be several times too large"):
+        boundary_elements.coefficients(body.hull, 0.5)
+
+
 def boat_folder(folder, hydro):
     """A copy of the shipped boat with ``hydrodynamics`` and without damping and added mass."""
     from vehsim.assets import description

@@ -86,16 +86,30 @@ def panels(hull: HullMesh, height: float) -> tuple[Array, NDArray[np.int64]]:
 
 def coefficients(hull: HullMesh, height: float, progress: Progress | None = None) -> Coefficients:
     """Those of a ``hull`` about the body frame's origin, which is ``height`` m above the water, from the cache if they
-    were computed before. Raises ``InputError`` if Capytaine is not installed."""
+    were computed before. Warns of waves that ring within it. Raises ``InputError`` if Capytaine is not installed."""
     key = _key(hull, height)
     before = lookup(KIND, key)
     if before is not None:
         with np.load(BytesIO(before), allow_pickle=False) as arrays:
-            return Coefficients.of(dict(arrays), hull.name)
-    found = _computed(hull, height, SEA_WATER, progress)
-    store(KIND, key, found.content)
-    shrink(KIND.partition("-")[0], MOST_KEPT)  # those of earlier methods too
+            found = Coefficients.of(dict(arrays), hull.name)
+    else:
+        found = _computed(hull, height, SEA_WATER, progress)
+        store(KIND, key, found.content)
+        shrink(KIND.partition("-")[0], MOST_KEPT)  # those of earlier methods too
+    if rings(found):
+        warnings.warn(
+            f"{hull.name}: waves ring between its parts, as between the hulls of a catamaran; its heave and pitch in "
+            "waves are right, its roll may be several times too large: check it, or leave out hydrodynamics and give "
+            "physics.damping",
+            stacklevel=2,
+        )
     return found
+
+
+def rings(found: Coefficients) -> bool:
+    """Whether damping has peaks too narrow for its frequencies: it contradicts the added mass, see `plausible`."""
+    agreeing = Radiation(found.omega, found.damping, found.added).infinite
+    return plausible(agreeing, found.infinite) is found.infinite
 
 
 def _key(hull: HullMesh, height: float) -> str:
