@@ -267,7 +267,9 @@ new GLTF.GLTFLoader().parse(content, "", file => {{
   const mixer = new GLTF.AnimationMixer(file.scene);
   mixer.clipAction(file.animations[0]).play();
   window.found = {{ clips: file.animations.length, drawn: 0 }};
-  file.scene.traverse(each => {{ if (each.isMesh) found.drawn += each.geometry.index.count / 3; }});
+  file.scene.traverse(each => {{ 
+    if (each.isMesh) found.drawn += (each.geometry.index ?? each.geometry.attributes.position).count / 3;
+  }});
   for (const seconds of {seconds}) {{
     mixer.setTime(seconds);
     file.scene.updateMatrixWorld(true);
@@ -279,10 +281,46 @@ new GLTF.GLTFLoader().parse(content, "", file => {{
 </script>"""
 
 
-def test_a_browser_plays_the_motion_of_the_stage(fast, tmp_path):
-    """three.js' own loader and mixer, against matrices of the composed stage, on frames and eighths of frames."""
+def played(path, seconds, names, folder):
+    """What three.js' own loader and mixer show of a GLB: its number of ``clips`` and of triangles ``drawn``, and world
+    matrices (4, 4), by columns, of each name at ``seconds`` (n,)."""
     pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
     browser()
+    page, three = folder / "page.html", Path(__file__).with_name("gltf.min.js").read_text(encoding="utf-8")
+    glb = base64.b64encode(path.read_bytes()).decode()
+    text = PAGE.format(three=three, glb=glb, seconds=json.dumps(list(seconds)), names=json.dumps(list(names)))
+    page.write_text(text, encoding="utf-8")
+
+    async def play():
+        async with page_at(page.as_uri(), folder / "profile") as opened:
+            await opened.until("window.done === true")
+            return await opened.value("window.found")
+
+    found = asyncio.run(play())
+    assert found.get("error") is None and found["clips"] == 1
+    return found
+
+
+def test_a_browser_shows_tyre_marks_from_their_frames(tmp_path):
+    """Also an eighth of a frame before each frame, when its marks are not there yet."""
+    from tests.exporters.test_tyre_marks import LEVEL, braked, exported
+    from vehsim.delivery.take import Take
+
+    clip = braked()
+    exported(tmp_path, clip)
+    frames = (1001, int(clip.end_frame))
+    (path,) = write_glb(Take("shot", {"car": clip}, LEVEL, (), Fraction(24), frames), tmp_path, lambda *_: None)
+    names = [name for name in Read(path).index if name.startswith("tyre_marks_")]
+    times = np.sort(np.concatenate([np.arange(frames[1] - 1001), np.arange(frames[1] - 1001) + 0.875]))
+    found = played(path, ((times + 1e-3) / 24).tolist(), names, tmp_path)
+    for name in names:
+        sizes = np.cbrt(np.linalg.det(np.array(found[name]).reshape(-1, 4, 4)[:, :3, :3]))
+        assert np.allclose(sizes, 1001 + times >= int(name.rpartition("_")[2]), atol=1e-6), name
+    assert len(names) > 20
+
+
+def test_a_browser_plays_the_motion_of_the_stage(fast, tmp_path):
+    """Against matrices of the composed stage, on frames and eighths of frames."""
     _, _, path = fast
     frames = np.array([0.0, 3.0, 7.125, 12.0, 12.5, 18.875, 23.0])
     prims = {
@@ -291,25 +329,7 @@ def test_a_browser_plays_the_motion_of_the_stage(fast, tmp_path):
         "wheel_fl": "/shot/vehicles/it/steer_fl/wheel_fl",
         "chase": "/shot/cameras/chase",
     }
-    three = Path(__file__).with_name("gltf.min.js").read_text(encoding="utf-8")
-    page = tmp_path / "page.html"
-    page.write_text(
-        PAGE.format(
-            three=three,
-            glb=base64.b64encode(path.read_bytes()).decode(),
-            seconds=json.dumps((frames / 24).tolist()),
-            names=json.dumps(list(prims)),
-        ),
-        encoding="utf-8",
-    )
-
-    async def play():
-        async with page_at(page.as_uri(), tmp_path / "profile") as opened:
-            await opened.until("window.done === true")
-            return await opened.value("window.found")
-
-    found = asyncio.run(play())
-    assert found.get("error") is None and found["clips"] == 1
+    found = played(path, (frames / 24).tolist(), prims, tmp_path)
     stage = Usd.Stage.Open(str(path.with_name("shot.usda")))
     for name, prim in prims.items():
         for frame, matrix in zip(frames, found[name], strict=True):

@@ -50,6 +50,16 @@ def executed(clip):
     return fine.positions[-1]
 
 
+def test_shorter_segments_are_tried_where_untouched_frames_would_move(drive, monkeypatch):
+    """Segments of a second can show neither the driver's steering nor the edit."""
+    frames, positions, rotations = bumped(drive, 1045, 1075, (0.0, 0.4, 0.0))
+    monkeypatch.setattr("vehsim.planning.retouch.TRIES", ((1.0, 1.0),))
+    coarse = retouch(drive, None, frames, positions, rotations)
+    monkeypatch.setattr("vehsim.planning.retouch.TRIES", ((1.0, 1.0), (1.0, 1 / 12)))
+    fine = retouch(drive, None, frames, positions, rotations)
+    assert coarse.kept > KEPT >= fine.kept
+
+
 def test_a_car_follows_an_edit_that_it_can_drive(drive):
     frames, positions, rotations = bumped(drive, 1030, 1090, (0.0, 0.4, 0.0))
     made = retouch(drive, None, frames, positions, rotations)

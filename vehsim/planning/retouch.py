@@ -141,20 +141,22 @@ def retouch(
             "move its mark and solve it again, or edit other frames",
             subject=clip.vehicle.name,
         )
-    fixed = [*stops, *edit.frames[landed]]
+    fixed, made = [*stops, *edit.frames[landed]], None
     for room, segment in TRIES:
-        windows = edit.windows(round(room * float(clip.fps)), fixed)
+        tried = edit.windows(round(room * float(clip.fps)), fixed)
         try:
-            made = _solved_again(clip, world, edit, windows, segment, clearance, limits, progress)
-            break
+            made = _solved_again(clip, world, edit, tried, segment, clearance, limits, progress)
         except SolveError as error:
             failed = error
-    else:
+            continue
+        windows = tried
+        there, before = (each.at(_times(each, edit.frames)) for each in (made, clip))
+        kept = float(np.linalg.norm(there.positions - before.positions, axis=1)[~edit.touched].max(initial=0.0))
+        if kept <= KEPT:  # between knots too
+            break
+    if made is None:
         raise failed
-    there = made.at(_times(made, edit.frames))
     metres, degrees = _apart(there, edit.positions, edit.rotations, edit.axes)
-    before = clip.at(_times(clip, edit.frames))
-    kept = np.linalg.norm(there.positions - before.positions, axis=1)[~edit.touched]
     touched = tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in _runs(edit.touched))
     lifted = _runs(_lifted(before, positions, rotations)) if clip.vehicle.group.planar else []
     return Retouch(
@@ -164,7 +166,7 @@ def retouch(
         edit.frames,
         metres,
         degrees,
-        float(kept.max(initial=0.0)),
+        kept,
         tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in lifted),
     )
 
