@@ -279,6 +279,8 @@ def test_the_page_fixes_changes_adds_and_deletes(tmp_path):
             assert "no such mark" in (await page.until("refused"))["text"]
             await page.send(kind="delete_mark", vehicle="car", mark=1)
             await page.until("state", lambda message: message["solved"] and len(message["handles"]) == 2)
+            await page.send(kind="delete_mark", vehicle="car", mark=1)
+            assert "needs two marks" in (await page.until("refused"))["text"] and page.last["state"]["solved"]
             await page.send(kind="change", key="vehicle[0].motion.segments", value=1)
             await page.until("state", lambda message: "at least 2" in texts(message) and not message["solved"])
 

@@ -445,6 +445,8 @@ class Session:
         at, table = self._planned(wanted.vehicle)
         if wanted.mark >= len(table.motion.mark):
             raise InputError("no such mark", "reload the page", key=f"{wanted.vehicle}.mark[{wanted.mark}]")
+        if len(table.motion.mark) == 2:
+            raise InputError("a motion needs two marks", "move this one instead", key=f"{wanted.vehicle}.mark")
         self.document.put(f"vehicle[{at}].motion.mark[{wanted.mark}]", None)
         return self.solve()
 
