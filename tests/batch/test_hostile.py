@@ -347,6 +347,46 @@ def test_results_are_cached_for_other_processes(tmp_path: Path, monkeypatch: pyt
         assert kept("sky", 7, make) == b"a sky"
 
 
+def test_results_of_one_kind_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The least recently used ones go, also when there are many small ones; those of other kinds stay."""
+    from vehsim.runtime.cache import kept, lookup, store
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    store("sky", 0, b"another kind")
+    most = 5 * 4096
+    for key in range(5):
+        store("stage-1", key, b"of an earlier version", most)
+        os.utime(tmp_path / max(tmp_path.glob("stage-*"), key=lambda file: file.stat().st_mtime_ns), ns=(key, key))
+    assert lookup("stage-1", 0) is not None  # used now
+    kept("stage-2", 0, lambda: bytes(2 * 4096), most)
+    assert [lookup("stage-1", key) is not None for key in range(5)] == [True, False, False, False, True]
+    assert store("stage-2", 1, bytes(most + 1), most) == bytes(most + 1)  # too large: nothing makes room for it
+    assert len(list(tmp_path.glob("stage-*"))) == 3
+    assert lookup("sky", 0) == b"another kind"
+
+
+@pytest.mark.parametrize("what", ["distance", "screened"])
+def test_caches_of_terrains_and_stages_are_bounded(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from vehsim.intake import usd
+    from vehsim.world import Terrain
+    from vehsim.world.distance import field
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
+    for number in range(4):
+        if what == "distance":
+            monkeypatch.setattr(field, "MOST_KEPT", 3 * 4096)
+            rise = Terrain(f"rise {number}", np.full((4, 4), float(number)), (0.0, 0.0), (2.0, 2.0))
+            field.distance_field(rise, spacing=8.0)
+        else:
+            monkeypatch.setattr(usd, "MOST_KEPT", 3 * 4096)
+            stage = tmp_path / f"{number}.usda"
+            stage.write_text(
+                '#usda 1.0\n(\n    defaultPrim = "a"\n    metersPerUnit = 1\n    upAxis = "Z"\n)\ndef Xform "a"\n{\n}\n'
+            )
+            usd.dependencies(stage)
+    assert len(list((tmp_path / "cache").glob(f"{what}-*"))) == 3
+
+
 def test_arrays_are_cached_by_their_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from vehsim.runtime.cache import kept_arrays
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from vehsim import errors
 from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.intake.foreign import MAX_BYTES, limit, raise_limit, reading, refuse
-from vehsim.runtime.cache import Stamp, content_of, lookup, shrink, stamp, store
+from vehsim.runtime.cache import Stamp, content_of, lookup, stamp, store
 
 Answer = tuple[Any, list[NDArray[Any]]]
 """Plain data, as JSON has it, and arrays."""
@@ -65,8 +65,7 @@ def read_cached(read: Read, path: Path, key: str, *more: Any) -> Answer:
         return _unpacked(io.BytesIO(found))
     answer = read_in_process(read, path, key, *more)
     if sum(array.nbytes for array in answer[1]) < KEPT:
-        store("read", made_of, b"".join(_packed(*answer)))
-        shrink("read", MOST_KEPT)
+        store("read", made_of, b"".join(_packed(*answer)), MOST_KEPT)
     return answer
 
 

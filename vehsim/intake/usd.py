@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 MAX_DEPTH = 500
 """Largest depth of a prim: the time to compose one grows with it."""
+MOST_KEPT = 20_000_000
+"""Largest size of the cached answers of `examine`, bytes: five thousand stages."""
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -143,7 +145,7 @@ def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
         or any(content_of(name) != known for name, known in facts["files"].items())
     ):
         facts = read_in_process(examine, asset, "asset", most)[0]
-        store("screened", made_of, json.dumps(facts).encode())
+        store("screened", made_of, json.dumps(facts).encode(), MOST_KEPT)
     return tuple(map(Path, facts["files"])), tuple(facts["missing"])
 
 

@@ -55,28 +55,40 @@ def cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("vehsim", appauthor=False))
 
 
-def kept(kind: str, key: object, make: Callable[[], bytes]) -> bytes:
+MOST = 100_000_000
+"""Largest size of the cached results of one kind, bytes, where nothing else is said."""
+BLOCK = 4096
+"""Files take whole blocks, bytes: many small entries are bounded too."""
+
+
+def kept(kind: str, key: object, make: Callable[[], bytes], most: int = MOST) -> bytes:
     """The result of ``make``, cached for other processes under everything that it depends on. Safe under concurrent
-    writers; a damaged entry is made again. ``kind``: change it when ``make`` changes."""
+    writers; a damaged entry is made again. ``kind``: change it when ``make`` changes. ``most`` as in `store`."""
     found = lookup(kind, key)
-    return store(kind, key, make()) if found is None else found
+    return store(kind, key, make(), most) if found is None else found
 
 
 def lookup(kind: str, key: object) -> bytes | None:
-    """The result that a process has stored with `keep`; None if there is none."""
+    """The result that a process has stored with `store`; None if there is none."""
     file = _entry(kind, key)
     with suppress(OSError):
         content = file.read_bytes()
         if sha256(content[:-SEAL]).digest() == content[-SEAL:]:
             with suppress(OSError):  # the cache may be read-only
-                os.utime(file)  # mark as used, so that `shrink` spares it
+                os.utime(file)  # mark as used, so that `store` spares it
             return content[:-SEAL]
         warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=3)
     return None
 
 
-def store(kind: str, key: object, made: bytes) -> bytes:
-    """Store what was ``made`` for all processes, and return it."""
+def store(kind: str, key: object, made: bytes, most: int = MOST) -> bytes:
+    """Store what was ``made`` for all processes, and return it.
+
+    The results of one kind take at most ``most`` bytes: the least recently used ones are removed. What follows a dash
+    in ``kind`` is its version, so those of earlier versions count too.
+    """
+    if len(made) > most:
+        return made
     file = _entry(kind, key)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -84,17 +96,18 @@ def store(kind: str, key: object, made: bytes) -> bytes:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=3)
+    _shrink(kind.partition("-")[0], most)
     return made
 
 
-def shrink(kind: str, most: int) -> None:
+def _shrink(kind: str, most: int) -> None:
     """Remove the least recently used entries of ``kind``, until they take at most ``most`` bytes."""
     entries = []
     with suppress(OSError):
         for file in cache_folder().glob(f"{kind}-*"):
             with suppress(OSError):  # another process was faster
                 stat = file.stat()
-                entries.append((stat.st_mtime_ns, stat.st_size, file))
+                entries.append((stat.st_mtime_ns, -(-stat.st_size // BLOCK) * BLOCK, file))
     total = sum(size for _, size, _ in entries)
     for _, size, file in sorted(entries):
         if total <= most:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.runtime.cache import content_of, lookup, packed, shrink, store, unpacked
+from vehsim.runtime.cache import content_of, lookup, packed, store, unpacked
 from vehsim.runtime.code import code
 from vehsim.runtime.registry import Registry
 
@@ -56,8 +56,7 @@ def recalled_or(
         return solve(), False
     content = found = lookup(KIND, key)
     if content is None:
-        content = store(KIND, key, _solved(solve))
-        shrink(KIND, most)
+        content = store(KIND, key, _solved(solve), most)
     motion, texts = _unpacked(content, vehicles)
     for text in texts:
         warnings.warn(text, stacklevel=4)

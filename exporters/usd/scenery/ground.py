@@ -16,7 +16,7 @@ from vehsim.exporters.usd.metadata import author_points, author_stage_metadata
 from vehsim.exporters.usd.scenery import lighting
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.textured import author_textured
-from vehsim.runtime.cache import kept, shrink
+from vehsim.runtime.cache import kept
 from vehsim.runtime.code import code
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-PICTURE, MOST_KEPT = "ground", 200_000_000
-"""Cache entries of pictures, and the most bytes that they take together."""
+PICTURE = "ground"
+"""Cache entries of pictures."""
 TEXTURE = 2048
 TEXELS_PER_CELL = 12
 TILE = 48.0
@@ -105,9 +105,7 @@ def _normals(terrain: Terrain) -> Array:
 def _picture(terrain: Terrain | None) -> bytes:
     """The PNG of a terrain's colours, None: of level ground. It is cached: it takes several seconds."""
     key = (code((Path(__file__), Path(lighting.__file__))), None if terrain is None else terrain.content_hash)
-    picture = kept(PICTURE, key, lambda: _png(_level_colours() if terrain is None else _relief_colours(terrain)))
-    shrink(PICTURE, MOST_KEPT)
-    return picture
+    return kept(PICTURE, key, lambda: _png(_level_colours() if terrain is None else _relief_colours(terrain)))
 
 
 def _relief_colours(terrain: Terrain) -> Array:

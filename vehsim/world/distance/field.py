@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 VERSION = 3
 """Part of the name of every cached field: increase it if the same terrain would give another field."""
+MOST_KEPT = 500_000_000
+"""Largest size of the cached fields, bytes: a hundred of usual size."""
 POINTS = 1_200_000
 """Largest number of grid points if no spacing is given: takes a second or two."""
 AMONG = 400_000
@@ -226,7 +228,7 @@ def distance_field(
         return DistanceField(distances, lower, step, open=terrain is None)
     assert terrain is not None
     content = (VERSION, terrain.content_hash, lower.tolist(), shape.tolist(), step)
-    body = kept("distance", content, lambda: _bytes_of(_around(terrain, lower, shape, step, progress)))
+    body = kept("distance", content, lambda: _bytes_of(_around(terrain, lower, shape, step, progress)), MOST_KEPT)
     return DistanceField(np.load(io.BytesIO(body), allow_pickle=False), lower, step)
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY, SEA_WATER
 from vehsim.errors import InputError
 from vehsim.intake.foreign import reason_of
-from vehsim.runtime.cache import kept, lookup, shrink, store
+from vehsim.runtime.cache import kept, lookup, store
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles.definition.coefficients import Coefficients
 from vehsim.world.water.hull_mesh import HullMesh, wetted
@@ -94,8 +94,7 @@ def coefficients(hull: HullMesh, height: float, progress: Progress | None = None
             found = Coefficients.of(dict(arrays), hull.name)
     else:
         found = _computed(hull, height, SEA_WATER, progress)
-        store(KIND, key, found.content)
-        shrink(KIND.partition("-")[0], MOST_KEPT)  # those of earlier methods too
+        store(KIND, key, found.content, MOST_KEPT)
     if rings(found):
         warnings.warn(
             f"{hull.name}: waves ring between its parts, as between the hulls of a catamaran; its heave and pitch in "
