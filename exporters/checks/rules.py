@@ -183,13 +183,16 @@ def _invertible(stage: Any) -> Iterator[Issue]:
     """No transform is singular, also between its keys: its content could not be placed, lit or picked."""
     from pxr import UsdGeom
 
+    start = stage.GetStartTimeCode()
     for prim in stage.Traverse():
         if prim.IsA(UsdGeom.Xformable) and prim.GetAuthoredPropertyNames():
-            flat = _flattened(UsdGeom.Xformable(prim), stage.GetStartTimeCode())
-            if flat is not None:
-                when = f" at time code {flat:g}" if flat != stage.GetStartTimeCode() else ""
-                message = f"its transform cannot be inverted{when}"
-                yield Issue("error", "scale", str(prim.GetPath()), message, "fix its scale")
+            flat = _flattened(UsdGeom.Xformable(prim), start)
+            if flat == start:
+                yield Issue("error", "scale", str(prim.GetPath()), "its transform cannot be inverted", "fix its scale")
+            elif flat is not None:
+                message = f"its transform cannot be inverted at time code {flat:g}"
+                remedy = "key its visibility to hide it, else keep its scale above zero"
+                yield Issue("warning", "scale", str(prim.GetPath()), message, remedy)
 
 
 def _flattened(xformable: Any, start: float) -> float | None:

@@ -218,12 +218,14 @@ def test_a_scale_that_passes_through_zero_is_found(tmp_path, values, held, where
                 op.Set(float(values[k - 1]), 10 * k + 1 - 1e-9)
             op.Set(float(value), 1.0 + 10 * k)
     stage.Save()
-    found = [issue.message for issue in validate_stage(tmp_path / "scale.usda") if issue.rule == "scale"]
+    found = [issue for issue in validate_stage(tmp_path / "scale.usda") if issue.rule == "scale"]
     if where is None:
         assert not found
     else:
-        (message,) = found
-        assert message == "its transform cannot be inverted" + (f" at time code {where:g}" if where != 1 else "")
+        (issue,) = found
+        later = f" at time code {where:g}" if where != 1 else ""
+        assert issue.message == "its transform cannot be inverted" + later
+        assert issue.severity == ("warning" if later else "error")  # animators hide things so
 
 
 STEADY = [(1.0 + 10 * k, 300.0 * k) for k in range(5)]
