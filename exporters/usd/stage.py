@@ -331,15 +331,18 @@ class StageReader:
             yield geometry.shape(name, group, local, chosen, surface, flip, bool(mesh.GetDoubleSidedAttr().Get()))
 
     def _mover(self, prim: Any) -> str:
-        """The path of the closest prim at or above ``prim`` whose transform changes over time; "" for none."""
-        from pxr import UsdGeom
+        """The path of the closest prim at or above ``prim`` that is a body with a mass, such as a parked car, or whose
+        transform changes over time; "" for none."""
+        from pxr import UsdGeom, UsdPhysics
 
         path = prim.GetPath()
         if path not in self._movers:
             if prim.IsPseudoRoot():
                 self._movers[path] = ""
-            elif str(path) in self._moving or (
-                prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying()
+            elif (
+                str(path) in self._moving
+                or prim.HasAPI(UsdPhysics.MassAPI)
+                or (prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying())
             ):
                 self._movers[path] = str(path)
             else:

@@ -157,3 +157,18 @@ def test_vehicles_of_one_shape_share_their_shade(new_stage, add_box):
     assert shades.roots == ["/top/a", "/top/b", "/top/c"]
     assert shades["/top/a"] is shades["/top/b"] is not None
     assert shades["/top/c"] is not shades["/top/a"]
+
+
+@pytest.mark.parametrize("parked", [True, False])
+def test_what_stands_still_has_a_shade_if_it_has_a_mass(parked, new_stage, add_box):
+    """A parked car has one as a moving car has; a house does not."""
+    from pxr import UsdGeom, UsdPhysics
+
+    stage = new_stage("still.usda")
+    body = UsdGeom.Xform.Define(stage, "/top/a").GetPrim()
+    if parked:
+        UsdPhysics.MassAPI.Apply(body)
+    add_box(stage, "/top/ground", (60, 60, 0.2), (0, 0, -0.1))
+    add_box(stage, "/top/a/box", (2, 2, 1), (0, 0, 0.5))
+    stage.GetRootLayer().Save()
+    assert Shades(StageReader(stage.GetRootLayer().realPath)).roots == ["/top/a"] * parked
