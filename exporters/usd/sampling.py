@@ -6,7 +6,7 @@ This module chooses frames from arrays and tolerances; `animation.py` writes the
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -120,12 +120,12 @@ class Shutter:
 
         return self._choose(error, f"{name}: {channel}")
 
-    def _choose(self, error: object, what: str) -> Array:
+    def _choose(self, error: Callable[[int], Array], what: str) -> Array:
         """Whole frames, and per opening the fewest of 1, 2, 4, 8, 16 spans with a sufficiently small error."""
         spans = np.full(len(self.whole), MOST)
         worst = np.zeros(len(self.whole))
         for n in (16, 8, 4, 2, 1):
-            found = error(n)  # type: ignore[operator]
+            found = error(n)
             if n == MOST:
                 worst = found
             spans = np.where(found <= CHORD, n, spans)

@@ -22,7 +22,7 @@ Write = Callable[..., Path]
 
 
 def test_one_worker_two_workers_and_dask_give_the_same_bytes(write: Write, tmp_path: Path, content: Content) -> None:
-    pytest.importorskip("distributed")
+    pytest.importorskip("distributed", reason='needs the extra: pip install "vehsim[dask]"')
     shots = load_shots(write(sweep=FIVE))
     for name, how in {"one": {}, "two": {"workers": 2}, "dask": {"workers": 2, "dask": "local"}}.items():
         outcomes = export_batch(shots, tmp_path / name, ["usd", "npz"], **how)  # type: ignore[arg-type]
