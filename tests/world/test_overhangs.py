@@ -11,6 +11,7 @@ import trimesh
 from elementary import ExactDistance
 from scipy.spatial.transform import Rotation
 
+from vehsim.errors import InputError
 from vehsim.exporters.checks.audit import _Ground
 from vehsim.vehicles import load_vehicle
 from vehsim.world import obstacles
@@ -73,6 +74,23 @@ def test_the_space_below_rock_is_free(terrains, name):
     points = around()
     assert 0.1 < rock(name, points).mean() < 0.9
     np.testing.assert_array_equal(terrains[name].below(points), rock(name, points))
+
+
+def test_copies_of_faces_count_once(meshes, terrains, tmp_path):
+    arch = meshes["arch"]
+    mesh = trimesh.util.concatenate([arch] * 60)  # also as shells turned about their first corner
+    mesh.faces[len(arch.faces) :: 2] = np.roll(mesh.faces[len(arch.faces) :: 2], 1, axis=1)
+    mesh.export(tmp_path / "copies.obj")
+    copied = Terrain.load(tmp_path / "copies.obj")
+    assert len(copied.surface.faces) == len(terrains["arch"].surface.faces)
+    np.testing.assert_array_equal(copied.below(points := around()), rock("arch", points))
+
+
+def test_many_surfaces_over_each_other_are_refused(meshes, tmp_path):
+    shells = [meshes["arch"].copy().apply_scale(1 - 1e-4 * k) for k in range(100)]
+    trimesh.util.concatenate(shells).export(tmp_path / "shells.obj")
+    with pytest.raises(InputError, match="times as large as the box around it"):
+        Terrain.load(tmp_path / "shells.obj")
 
 
 def test_the_ground_is_the_lowest_and_below_a_point_the_next_one(terrains):

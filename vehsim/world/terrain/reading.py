@@ -39,6 +39,9 @@ PACKAGE = "package:"
 """Before the path of heights in an installed Python package."""
 SAMPLES = 50_000
 """Number of heights sampled from a mesh without ``cell``: about 1e5 triangles."""
+MOST_LAYERS = 50
+"""Largest area of a mesh's faces, copies left out, relative to the surface of the box around it. Rock with caves and
+trees stays below 10; each point's side of the surface costs time in proportion."""
 
 
 @dataclass(frozen=True)
@@ -293,6 +296,10 @@ def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Plac
     cols, rows = (max(2, int(np.floor(size[k] / cell[k] + 1e-6)) + 1) for k in range(2))
     if rows * cols > MAX_POINTS:
         raise refuse(placement.file, "cell", f"more than {MAX_POINTS:,} heights", "give a larger cell", cell)
+    surface = surface_of(points, faces)
+    if (layers := _layers(surface, size)) > MOST_LAYERS:
+        found = f"its faces are {layers:.0f} times as large as the box around it: many surfaces lie over each other"
+        raise refuse(path, "terrain", found, "keep one of them", None)
     x, y = low[0] + cell[0] * np.arange(cols), low[1] + cell[1] * np.arange(rows)
     rays = np.stack([*np.meshgrid(x, y), np.full((rows, cols), high[2] + 1.0)], axis=-1).reshape(-1, 3)
     inset = 1e-7 * size[:2]  # a ray exactly along a border could miss
@@ -303,12 +310,17 @@ def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Plac
     heights = np.where(hit >= 0, rays[:, 2] - depth, np.nan)
     origin = (float(low[0]), float(low[1]))
     top = HeightGrid(path.name, _filled(path, heights.reshape(rows, cols)), origin, cell)
-    surface = surface_of(points, faces)
     if not _has_overhangs(top, surface, rays[:, :2]):
         return top
     floor = surface.floor(rays[:, :2])
     floor = np.where(np.isnan(floor), top.heights.ravel(), floor).reshape(rows, cols)
     return replace(top, heights=floor, surface=surface)
+
+
+def _layers(surface: TerrainSurface, size: Array) -> float:
+    """Area of the faces of a surface over that of the box of ``size`` (3,) m around it."""
+    x, y, z = size
+    return float(np.linalg.norm(surface.normals, axis=1).sum() / 2 / (2 * (x * y + y * z + z * x)))
 
 
 def _filled(path: Path, heights: Array) -> Array:

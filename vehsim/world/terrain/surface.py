@@ -168,13 +168,14 @@ class TerrainSurface:
 
 
 def surface_of(points: Array, faces: Faces) -> TerrainSurface:
-    """The surface of a mesh file's triangles: corners at the same place are joined, and the faces look into the air."""
+    """The surface of a mesh file's triangles: corners at the same place are joined, copies of a face are left out, and
+    the faces look into the air."""
     import igl
 
     points, place = np.unique(points, axis=0, return_inverse=True)
     faces = place.ravel()[faces]
     distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    surface = TerrainSurface(points, np.ascontiguousarray(faces[distinct]))
+    surface = TerrainSurface(points, _without_copies(faces[distinct]))
     if _consistent(surface.faces):
         turned = np.full(len(surface.faces), _volumes(surface).sum() < 0)
     else:
@@ -182,6 +183,14 @@ def surface_of(points: Array, faces: Faces) -> TerrainSurface:
         surface = TerrainSurface(points, np.ascontiguousarray(oriented))
         turned = (np.bincount(body, _volumes(surface)) < 0)[body]
     return TerrainSurface(points, np.where(turned[:, None], surface.faces[:, ::-1], surface.faces))
+
+
+def _without_copies(faces: Faces) -> Faces:
+    """Each face (k, 3) once: faces with the same corners in the same sense of rotation are copies."""
+    lowest = faces.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(faces, (lowest + np.arange(3)) % 3, axis=1)
+    _, first = np.unique(turned, axis=0, return_index=True)
+    return np.ascontiguousarray(faces[np.sort(first)])
 
 
 def looks_up(corners: Array) -> NDArray[np.bool_]:
