@@ -145,6 +145,36 @@ def test_distances_to_obstacles_agree_with_least_squares(helicopter):
             assert point[k, n] == pytest.approx(apart(p[None], box.hulls[0]), abs=1e-4)
 
 
+def test_distances_of_many_poses_are_those_of_each(helicopter):
+    """Pairs of hulls are left out by bounds for many poses at once, none of which depends on the other poses."""
+    rng = np.random.default_rng(2)
+    boxes = [ob.box(f"b{i}", rng.uniform(-9, 9, 3), rng.uniform(1, 12, 3), rng.uniform(0, 90)) for i in range(4)]
+    positions, turned = rng.uniform(4, 20, (70, 3)), rng.normal(size=(70, 4))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    scene = ObstacleScene(helicopter.rig, boxes)
+    found = scene.clearance(positions, turned, each=True)
+    alone = [scene.clearance(p[None], q[None], each=True)[0] for p, q in zip(positions, turned, strict=True)]
+    np.testing.assert_array_equal(found, alone)
+    np.testing.assert_array_equal(found.min(axis=1), scene.clearance(positions, turned)[:, 0])
+
+
+def test_no_overlap_is_left_out(helicopter):
+    """Bounds leave out pairs of hulls: the deepest overlap is that of all pairs."""
+    import mujoco
+
+    rng = np.random.default_rng(4)
+    boxes = [ob.box(f"b{i}", rng.uniform(-9, 3, 3), rng.uniform(4, 20, 3), rng.uniform(0, 90)) for i in range(3)]
+    scene = ObstacleScene(helicopter.rig, boxes)
+    own, theirs = [
+        [k for k in range(scene.model.ngeom) if scene.model.geom(k).name.startswith(start)]
+        for start in ("vehicle", "obstacle")
+    ]
+    for position, turned in zip(rng.uniform(-6, 6, (60, 3)), rng.normal(size=(60, 4)), strict=True):
+        found = scene.clearance(position[None], turned[None] / np.linalg.norm(turned))[0, 0]
+        every = [mujoco.mj_geomDistance(scene.model, scene.data, a, b, 100.0, None) for a in own for b in theirs]
+        assert found == pytest.approx(min(every), abs=1e-6)
+
+
 def test_moving_obstacles_are_avoided(helicopter):
     """Two helicopters on crossing paths reach the crossing together: they would touch, but keep 2 m apart."""
     crossing = [

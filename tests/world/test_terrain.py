@@ -44,6 +44,20 @@ def test_height_beyond_the_border_is_that_of_the_border():
     assert terrain.height([[100, 100]])[0] == terrain.heights[-1, -1]
 
 
+@pytest.mark.parametrize("reach", [0.0, 0.6, 3.0, 40.0])
+def test_no_height_within_reach_exceeds_the_bound(reach):
+    """Also beyond the borders, and where the cells are not square. Near a place, the bound is one of the heights."""
+    rng = np.random.default_rng(3)
+    terrain = Terrain("rough", rng.uniform(-5, 5, (30, 41)), (-8.0, 3.0), (0.7, 1.1))
+    xy = rng.uniform((-12, -1), (25, 40), (400, 2))
+    way = rng.uniform(-1, 1, (400, 50, 2))
+    way *= reach / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1)
+    bound = terrain.at_most(xy, reach)
+    assert (terrain.height((xy[:, None] + way).reshape(-1, 2)).reshape(400, 50) <= bound[:, None]).all()
+    assert np.abs(bound[:, None] - terrain.heights.ravel()).min(axis=1).max() < 1e-5
+    assert reach or bound.std() > 1  # not simply the highest of all
+
+
 def test_content_hash_follows_content_alone():
     heights = RNG.uniform(0, 4, (4, 5))
     assert Terrain("a", heights).content_hash == Terrain("b", heights.copy()).content_hash

@@ -295,16 +295,20 @@ def buried_in(place: Sequence[float], world: Any) -> str:
 
 
 def _ground(points: Array, world: Any, margin: float, plain: bool = False) -> Array:
-    """The highest ground (...,) within ``margin`` of ``points`` (..., 3); on terrain with overhangs that below them
-    and, if ``plain``, above them where it is the only one."""
-    if getattr(world, "terrain", world) is None:
-        return np.full(points.shape[:-1], -np.inf)
-    highest, levels = np.full(points.shape[:-1], -np.inf), getattr(world, "levels", None)
-    below = points[..., 2].ravel() + margin
+    """The highest ground (...,) within ``margin`` of ``points`` (..., 3), -inf where all of it is farther below than
+    that; on terrain with overhangs that below them and, if ``plain``, above them where it is the only one."""
+    terrain, levels = getattr(world, "terrain", world), getattr(world, "levels", None)
+    highest, flat = np.full(points.shape[:-1], -np.inf), points.reshape(-1, 3)
+    if terrain is None:
+        return highest
+    near = np.arange(len(flat))
+    if _rock(world) is None:  # most points of most sights are high above the ground
+        near = np.flatnonzero(flat[:, 2] <= terrain.at_most(flat[:, :2], margin) + margin)
+    found, below = np.full(len(near), -np.inf), flat[near, 2] + margin
     for offset in margin * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float):  # in turn: it saves memory
-        around = (points[..., :2] + offset).reshape(-1, 2)
-        found = world.height(around) if levels is None else levels.below(around, below, plain)
-        np.maximum(highest, np.reshape(found, highest.shape), out=highest)
+        around = flat[near, :2] + offset
+        np.maximum(found, world.height(around) if levels is None else levels.below(around, below, plain), out=found)
+    highest.ravel()[near] = found  # a view: it was made above
     return highest
 
 

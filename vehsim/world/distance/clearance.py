@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 
 POINT = 1e-6
 """Radius of the ball that represents a vehicle without an asset, m."""
+EXACT = 1e-6
+"""Accuracy of MuJoCo's distances, m: pairs of hulls are compared with bounds that are that much smaller."""
+CHUNK = 64
+"""Number of poses whose bounds are found at once."""
 
 
 class ObstacleScene:
@@ -87,33 +91,52 @@ class ObstacleScene:
         groups = [self._theirs[k] for k in shown] if each else [[geom for k in shown for geom in self._theirs[k]]]
         columns = shown if each else [0]
         result = np.full((len(positions), len(self.obstacles) if each else 1), np.inf)
-        for n in range(len(positions)):
-            for at, (points, quaternions) in placed:
-                self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = points[n], quaternions[n]
-            self._update()
-            result[n, columns] = [self._nearest(group) for group in groups]
+        for first in range(0, len(positions), CHUNK):
+            rows = range(first, min(first + CHUNK, len(positions)))
+            centres, turns = (np.stack(each) for each in zip(*(self._posed(placed, n) for n in rows), strict=True))
+            bounds = [self._least(centres, turns, group) for group in groups]
+            for k, n in enumerate(rows):
+                self.data.geom_xpos[:], self.data.geom_xmat[:] = centres[k], turns[k]
+                result[n, columns] = [
+                    self._nearest(least[k], group) for least, group in zip(bounds, groups, strict=True)
+                ]
         return result
 
-    def _nearest(self, others: Sequence[int]) -> float:
-        """Smallest signed distance of the vehicle's geoms to ``others`` in their current poses, m."""
+    def _posed(self, placed: Sequence[tuple[int, tuple[Array, Array]]], n: int) -> tuple[Array, Array]:
+        """Places (geoms, 3) m and rotations (geoms, 9) of all geoms at sample ``n`` of the poses of the bodies."""
         import mujoco
 
-        best, centres, radii = np.inf, self.data.geom_xpos, self.model.geom_rbound
-        apart = np.linalg.norm(centres[self._own][:, None] - centres[others][None], axis=2)
-        least = apart - radii[self._own][:, None] - radii[others][None]
+        for at, (points, quaternions) in placed:
+            self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = points[n], quaternions[n]
+        mujoco.mj_kinematics(self.model, self.data)
+        return self.data.geom_xpos.copy(), self.data.geom_xmat.copy()
+
+    def _least(self, centres: Array, turns: Array, others: Sequence[int]) -> Array:
+        """Lower bounds (n, own geoms, others) m of the distances between the vehicle's geoms and ``others`` at poses
+        (n, geoms, 3) m and (n, geoms, 9): from a ball around each of its geoms to a box around each of the others."""
+        boxes = self.model.geom_aabb[others]
+        between = centres[:, self._own, None] - centres[:, None, others]
+        inside = np.einsum("noji,nkoj->nkoi", turns[:, others].reshape(-1, len(others), 3, 3), between)
+        over = np.abs(inside - boxes[:, :3]) - boxes[:, 3:]
+        away = np.sqrt((np.maximum(over, 0.0) ** 2).sum(axis=3)) + np.minimum(over.max(axis=3), 0.0)
+        return np.asarray(away - self.model.geom_rbound[self._own][:, None] - EXACT)
+
+    def _nearest(self, least: Array, others: Sequence[int]) -> float:
+        """Smallest signed distance of the vehicle's geoms to ``others`` in their current poses, m, whose lower bounds
+        (own geoms, others) m are ``least``."""
+        import mujoco
+
+        best, centres = np.inf, self.data.geom_xpos
         for pair in np.argsort(least, axis=None):
-            i, j = np.unravel_index(pair, least.shape)
+            i, j = divmod(int(pair), len(others))
             if least[i, j] >= best:
                 break
-            cap = min(best, float(apart[i, j]) + 1.0)  # the centres lie within the bounds of their hulls
-            found = mujoco.mj_geomDistance(self.model, self.data, self._own[i], others[j], cap, None)
+            own, other = self._own[i], others[j]
+            apart = float(np.linalg.norm(centres[own] - centres[other]))
+            cap = min(best, apart + 1.0)  # the centres lie within the bounds of their hulls
+            found = mujoco.mj_geomDistance(self.model, self.data, own, other, cap, None)
             best = min(best, found) if found < cap else best
         return float(best)
-
-    def _update(self) -> None:
-        import mujoco
-
-        mujoco.mj_kinematics(self.model, self.data)
 
 
 def _carriers(obstacle: Moving) -> tuple[str, ...]:

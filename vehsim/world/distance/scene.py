@@ -122,7 +122,7 @@ class Scene:
         positions, orientations = checked_poses(positions, orientations)
         own = [part_poses(self.rig, path, channels, positions, orientations) for path in self.carriers]
         places, turned = (np.stack(pose, axis=1) for pose in zip(*own, strict=True))
-        bounds = self._centre_distances(places, turned)
+        bounds, beyond = self._centre_distances(places, turned), self._beyond(positions)
         result = np.empty(len(positions))
         for k in range(len(positions)):
             expected = np.inf  # at most the distance of the previous pose, plus the greatest displacement since
@@ -131,7 +131,7 @@ class Scene:
                 expected = max(result[k - 1], 0.0) + moved
             self._place(places[k], turned[k])
             result[k] = self._nearest(bounds[k], expected)
-            if result[k] > 0 and self._beyond(positions[k]):
+            if result[k] > 0 and beyond[k]:
                 result[k] = min(result[k], self._gap())
         return result
 
@@ -188,10 +188,10 @@ class Scene:
         above = points[:, 2] > self.terrain.height(points[:, :2])
         return np.asarray((np.where(above, 1, -1) * np.sqrt(squared)).reshape(centres.shape[:2]))
 
-    def _beyond(self, position: Array) -> bool:
-        """Whether hulls at ``position`` may reach beyond the terrain's borders."""
+    def _beyond(self, positions: Array) -> NDArray[np.bool_]:
+        """At which ``positions`` (n, 3) m hulls may reach beyond the terrain's borders, (n,)."""
         low, high = self.terrain.lower[:2] + self._reach, self.terrain.upper[:2] - self._reach
-        return bool((position[:2] < low).any() or (position[:2] > high).any())
+        return np.asarray(((positions[:, :2] < low) | (positions[:, :2] > high)).any(axis=1))
 
     def _motion(self, positions: Array, orientations: Array) -> float:
         """An upper bound of the displacement of any point of the hulls between two poses (2, carriers, ...), m."""

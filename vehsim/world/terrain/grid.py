@@ -25,6 +25,9 @@ MAX_POINTS = 4_000_000
 MAX_HEIGHT = 20_000.0
 """Largest plausible magnitude of a height, m: beyond it, a file has other units or no-data values."""
 
+ROUNDED = 1e-6
+"""Allowance for rounding in an upper bound of heights, m."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeightGrid:
@@ -136,13 +139,39 @@ class HeightGrid:
     def _on_grid(self, xy: Array) -> Array:
         """Height (n,) m of the grid's triangles at ``xy`` (n, 2) m."""
         rows, cols = self.heights.shape
-        u = np.clip((xy[:, 0] - self.origin[0]) / self.cell[0], 0, cols - 1)
-        v = np.clip((xy[:, 1] - self.origin[1]) / self.cell[1], 0, rows - 1)
+        u, v = self._cells(xy)
         col, row = np.minimum(u.astype(int), cols - 2), np.minimum(v.astype(int), rows - 2)
-        u, v = u - col, v - row
-        a, b = self.heights[row, col], self.heights[row, col + 1]
-        c, d = self.heights[row + 1, col], self.heights[row + 1, col + 1]
+        u, v, first = u - col, v - row, row * cols + col
+        a, b, c, d = (self._row_by_row.take(first + more) for more in (0, 1, cols, cols + 1))
         return np.asarray(a + np.where(u >= v, u * (b - a) + v * (d - b), v * (c - a) + u * (d - c)))
+
+    def _cells(self, xy: Array) -> tuple[Array, Array]:
+        """Columns and rows (n,) of ``xy`` (n, 2) m, with fractions; beyond the borders, those of the closest border
+        point."""
+        rows, cols = self.heights.shape
+        u, v = ((xy[:, axis] - self.origin[axis]) / self.cell[axis] for axis in (0, 1))
+        return np.clip(u, 0, cols - 1, out=u), np.clip(v, 0, rows - 1, out=v)
+
+    @cached_property
+    def _row_by_row(self) -> Array:
+        return self.heights.ravel()
+
+    def at_most(self, xy: Array, reach: float) -> Array:
+        """An upper bound (n,) m of the heights of the grid within ``reach`` m of ``xy`` (n, 2) m, found quickly."""
+        around = int(np.ceil(reach / min(self.cell)))  # cells
+        if around not in self._tops:
+            tops = self.heights
+            for _ in range(2):  # a cell ends with the heights of the next one
+                wide = np.pad(tops, ((around, around + 1), (0, 0)), mode="edge")
+                tops = np.maximum.reduce([wide[k : len(tops) + k] for k in range(2 * around + 2)]).T
+            self._tops[around] = tops.ravel() + ROUNDED
+        u, v = self._cells(xy)
+        return np.asarray(self._tops[around].take(v.astype(int) * self.heights.shape[1] + u.astype(int)))
+
+    @cached_property
+    def _tops(self) -> dict[int, Array]:
+        """The largest heights around every cell, row by row, by the number of cells around it."""
+        return {}
 
     def beyond(self, place: ArrayLike) -> str:
         """The border, such as ``"x = 291.8"``, on the side of a ``place`` (x, y, ...) m outside; empty inside.

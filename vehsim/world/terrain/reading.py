@@ -325,13 +325,13 @@ def _layers(surface: TerrainSurface, size: Array) -> float:
 
 def _filled(path: Path, heights: Array) -> Array:
     """Fill holes with the closest height, with a warning. Raises ``InputError`` for heights that are mostly holes."""
-    from scipy.ndimage import distance_transform_edt
-
     holes = np.isnan(heights)
     if holes.mean() > 0.5:
         remedy = "crop it; for a mesh, check that Z is up and that it covers its rectangle"
         raise refuse(path, "terrain", f"seen from above, {holes.mean():.0%} of it is missing", remedy)
     if holes.any():
+        from scipy.ndimage import distance_transform_edt  # it takes half a second to load
+
         warnings.warn(
             f"{path}: {holes.sum()} of {holes.size} heights are missing, filled from their neighbours", stacklevel=2
         )
