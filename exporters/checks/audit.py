@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -44,6 +44,8 @@ RIM = 0.03
 """Largest distance between points on a wheel's tread, m: a crest of the ground may touch it between its vertices."""
 STEP = 0.5
 """The ground of a terrain with overhangs is sought from this height above a point downwards, m."""
+SLICE = 32
+"""Number of frames whose points are measured at once: more need more memory and are no faster."""
 CELL = 0.5
 """Points on a vehicle's meshes are grouped into balls of this size, m."""
 
@@ -202,29 +204,40 @@ class StageScene(Scene):
     def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
         if self._terrain is None:
             return super().wheel_gap(track, prims)
-        first = float(self.delivered.frames[0])
-        rims = []
+        treads = self._treads(prims)
+        frames = track.frames.tolist()
+        poses: list[list[Array]] = [[] for _ in treads]  # (k, 4, 4) of every wheel: a cache of matrices holds one frame
+        for frame in frames:
+            for tread, found in zip(treads, poses, strict=True):
+                found.append(np.array([self.delivered.world_matrix(mesh, frame) for mesh, _ in tread]))
+        gaps = np.array(
+            [
+                _gaps(self._terrain, np.array(found), [points for _, points in tread])
+                for tread, found in zip(treads, poses, strict=True)
+            ]
+        )
+        return np.asarray(np.take_along_axis(gaps, np.abs(gaps).argmax(axis=0)[None], axis=0)[0])
+
+    def _treads(self, prims: Sequence[str]) -> list[list[tuple[Any, Array]]]:
+        """For each wheel its meshes with the points (n, 3), in their own units, that can touch the ground."""
+        first, spread = float(self.delivered.frames[0]), lru_cache(_spread_bytes)  # wheels often are one mesh
+        found = []
         for path in prims:
             wheel = self._root.GetPrimAtPath(path) if path else self._root
             meshes = [mesh for mesh in self.delivered.meshes(wheel) if is_drawn(mesh)]
             worlds = [self.delivered.world_matrix(mesh, first) for mesh in meshes]
             sizes = [max(float(np.cbrt(abs(np.linalg.det(world[:3, :3])))), 1e-12) for world in worlds]
             own = [
-                _spread(*self.delivered.triangles(mesh, first), RIM / size)
+                spread(points.tobytes(), faces.tobytes(), round(RIM / size, 9))
                 for mesh, size in zip(meshes, sizes, strict=True)
+                for points, faces in [self.delivered.triangles(mesh, first)]
             ]
             tread = _tread(np.vstack([_moved(world, points) for world, points in zip(worlds, own, strict=True)]))
             chosen = np.split(tread, np.cumsum([len(points) for points in own])[:-1])
-            rims.append(
+            found.append(
                 [(mesh, points[part]) for mesh, points, part in zip(meshes, own, chosen, strict=True) if part.any()]
             )
-        found = np.zeros((len(track.frames), len(rims)))
-        for k, frame in enumerate(track.frames.tolist()):
-            for j, rim in enumerate(rims):
-                points = np.vstack([_moved(self.delivered.world_matrix(mesh, frame), own) for mesh, own in rim])
-                low = points[points[:, 2] < points[:, 2].min() + TREAD]
-                found[k, j] = (low[:, 2] - self._terrain.height(low)).min()
-        return np.asarray(np.take_along_axis(found, np.abs(found).argmax(axis=1)[:, None], axis=1)[:, 0])
+        return found
 
     def away(self, track: Track, obstacles_only: bool) -> Array:
         found = np.empty(len(track.frames))
@@ -258,6 +271,21 @@ class StageScene(Scene):
         pieces = np.split(chosen, np.cumsum([len(cloud.radii) for cloud in self._own])[:-1])
         own = zip(self._own, pieces, strict=True)
         return np.vstack([cloud.placed(frame, cloud.within(some)) for cloud, some in own])
+
+
+def _gaps(ground: _Ground, poses: Array, meshes: Sequence[Array]) -> Array:
+    """Height (n,) m above the ground of the lowest point of a wheel, whose ``meshes`` have ``poses`` (n, k, 4, 4)."""
+    found = np.empty(len(poses))
+    for start in range(0, len(poses), SLICE):
+        some = poses[start : start + SLICE]
+        points = np.concatenate([_moved(some[:, k], own) for k, own in enumerate(meshes)], axis=1)
+        lowest = points[:, :, 2].min(axis=1)
+        low = points[:, :, 2] < lowest[:, None] + TREAD
+        high = points[low]
+        heights = high[:, 2] - ground.height(high)
+        counts = low.sum(axis=1)
+        found[start : start + SLICE] = np.minimum.reduceat(heights, np.cumsum(counts) - counts)
+    return found
 
 
 def _tread(points: Array) -> NDArray[np.bool_]:
@@ -352,11 +380,20 @@ class _Ground:
 
         self.points, self.faces = np.ascontiguousarray(points), np.ascontiguousarray(faces)
         self.flat = np.ascontiguousarray(points * [1.0, 1.0, 0.0])
-        self.tree, self.plan = igl.AABB(), igl.AABB()
-        self.tree.init(self.points, self.faces)
+        self.plan = igl.AABB()
         self.plan.init(self.flat, self.faces)
         self.up = _upward(self.points, self.faces)
         self.overhangs = bool((self.up < 0).any())
+        self.level = bool(np.ptp(points[:, 2]) == 0)
+
+    @cached_property
+    def tree(self) -> Any:
+        """For distances in space."""
+        import igl
+
+        tree = igl.AABB()
+        tree.init(self.points, self.faces)
+        return tree
 
     @classmethod
     def of(cls, delivered: Delivered) -> _Ground | None:
@@ -368,7 +405,9 @@ class _Ground:
                 continue
             found.append((_moved(delivered.world_matrix(prim, float(frame)), points), faces + count))
             count += len(points)
-        return cls(np.vstack([p for p, _ in found]), np.vstack([f for _, f in found])) if found else None
+        if not found:
+            return None
+        return _ground_of(np.vstack([p for p, _ in found]).tobytes(), np.vstack([f for _, f in found]).tobytes())
 
     def height(self, points: Array) -> Array:
         """Height (n,) m of the ground below or above points (n, 3); beyond the border, that of the border."""
@@ -387,6 +426,8 @@ class _Ground:
 
     def _seen_from_above(self, points: Array) -> Array:
         """Height (n,) m of the face that is nearest to points (n, 3) in the plane."""
+        if self.level:
+            return np.full(len(points), self.points[0, 2])
         at = np.ascontiguousarray(points * [1.0, 1.0, 0.0])
         _, face, place = self.plan.squared_distance(self.flat, self.faces, at)
         a, b, c = (self.points[self.faces[np.ravel(face), k]] for k in range(3))
@@ -417,6 +458,12 @@ class _Ground:
             rock = np.ascontiguousarray(points[inside])
             found[inside] = -np.sqrt(np.asarray(self.tree.squared_distance(self.points, self.faces, rock)[0]))
         return found
+
+
+@lru_cache(maxsize=2)
+def _ground_of(points: bytes, faces: bytes) -> _Ground:
+    """The ground of a mesh, given as bytes: a process often measures several deliveries on one terrain."""
+    return _Ground(np.frombuffer(points).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3))
 
 
 def _upward(points: Array, faces: Ints) -> Array:
@@ -510,8 +557,14 @@ def _hull(points: Array) -> tuple[Array, Ints]:
     return points, faces.astype(np.int64)
 
 
+def _spread_bytes(points: bytes, faces: bytes, spacing: float) -> Array:
+    """`_spread`, of arrays as bytes."""
+    return _spread(np.frombuffer(points).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3), spacing)
+
+
 def _moved(matrix: Array, points: Array) -> Array:
-    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
+    """Points (n, 3) moved by a matrix (4, 4), or (k, n, 3) by each of (k, 4, 4)."""
+    return np.asarray(points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3])
 
 
 def audit_stage(

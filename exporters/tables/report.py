@@ -48,9 +48,12 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
             report["vehicles"][name]["T_rp"] = root_in_prim(clip)
             report["vehicles"][name]["joints"] = joints_in_rig(clip)
             report["vehicles"][name]["motion"] = solved["vehicles"][name]["frames"]
-        report["audit"] = with_stage(stage, plain(report))
+        report = plain(report)
+        report["audit"] = plain(with_stage(stage, report))
+    else:
+        report = plain(report)
     path = folder / "report.json"
-    path.write_text(json.dumps(plain(report), indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(report, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
     return path
 
 
@@ -107,15 +110,17 @@ def _ledger(energy: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 def plain(value: Any) -> Any:
     """``value`` as JSON data: arrays as lists, paths as text, numbers that are not finite as None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+    if value is None or type(value) in (bool, int, str):
+        return value
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    return value if isinstance(value, int | str) else str(value)
 
 
 def sha256(path: Path) -> str:

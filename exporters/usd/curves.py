@@ -39,6 +39,8 @@ WIDTHS = (0.03, 0.9)
 some tools shorten longer ones."""
 ROUNDS = 7
 """Rounds of Gauss and Newton's method at most for the widths of a segment."""
+EPSILON = float(np.finfo(float).eps)
+"""Least trace of the normal equations, so that they are not singular where nothing changes."""
 
 
 @dataclass(frozen=True)
@@ -225,10 +227,12 @@ def _fitted(values: Array, before: float, after: float, tolerance: float) -> _Ta
         errors = _PROBES @ points - values[k] - (t - k) * (steps[k] + (t - k - 1) * bent)
         if h == 1 or np.abs(errors).max() <= tolerance:
             return _Tangents(slopes, widths)
-        gradients = _PROBES[:, 1:3] * [1.0, -1.0] * (slopes - steps[k, None])
-        normal, right = gradients.T @ gradients, gradients.T @ errors
-        normal[[0, 1], [0, 1]] += DAMPING * max(normal.trace(), np.finfo(float).eps)
-        widths = np.clip(widths - np.linalg.solve(normal, right), WIDTHS[0] * h, most)
+        gradients = _TIMES * (slopes - steps[k, None])
+        (a, b, _, c), (p, q) = (gradients.T @ gradients).ravel().tolist(), (errors @ gradients).tolist()
+        damping = DAMPING * max(a + c, EPSILON)
+        a, c = a + damping, c + damping
+        step = np.array([c * p - b * q, a * q - b * p]) / (a * c - b * b)
+        widths = np.minimum(np.maximum(widths - step, WIDTHS[0] * h), most)
         widths *= min(1.0, h / widths.sum())
     return None
 
@@ -274,22 +278,31 @@ def _parameters(x: Array, widths: Array) -> Array:
     """The parameters (n,) at shares ``x`` (n,) of a segment's length, with widths (2, n or 1) in shares of it whose sum
     is at most 1: Newton's method, with bisection where it would leave its bracket."""
     start, end = widths[0], 1 - widths[1]
-    a, b, c = 1 + 3 * (start - end), 3 * (end - 2 * start), 3 * start  # share = ((a s + b) s + c) s
+    cubic = 1 + 3 * (start - end), 3 * (end - 2 * start), 3 * start
+    a, b, c = (np.broadcast_to(each, x.shape) for each in cubic)  # share = ((a s + b) s + c) s
     low, high, s = np.zeros_like(x), np.ones_like(x), x.copy()
+    found, rows = s, np.arange(len(x))
     with np.errstate(divide="ignore", invalid="ignore"):
         for _ in range(60):
             error = ((a * s + b) * s + c) * s - x
-            if np.abs(error).max() < 1e-13:
-                break
+            rest = np.abs(error) >= 1e-13
+            if 2 * rest.sum() <= len(s):  # few need many steps
+                found[rows] = s
+                rows, x, a, b, c, low, high, s, error = (each[rest] for each in (rows, x, a, b, c, low, high, s, error))
+                if not len(rows):
+                    break
             np.copyto(low, s, where=error < 0)
             np.copyto(high, s, where=error > 0)
             newton = s - error / ((3 * a * s + 2 * b) * s + c)
             s = np.where((newton > low) & (newton < high), newton, (low + high) / 2)
-    return s
+    found[rows] = s
+    return found
 
 
 _PROBES = _weights(np.linspace(0, 1, 26)[1:-1]).T
 """Weights (24, 4) at the parameters at which widths are fitted."""
+_TIMES = _PROBES[:, 1:3] * [1.0, -1.0]
+"""Change (24, 2) of the times of the probes with the widths before and after."""
 
 
 # ---------------------------------------------------------------- poses

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -661,9 +661,15 @@ def _warning_once() -> Callable[..., str]:
     return formatted
 
 
+@cache
+def _command() -> Any:
+    """The commands, as click knows them: typer reads their signatures, which takes as long as a small command."""
+    return typer.main.get_command(app)
+
+
 def _run(arguments: Sequence[str]) -> int:
     try:
-        code = int(app(args=list(arguments), standalone_mode=False) or 0)
+        code = int(_command().main(args=list(arguments), standalone_mode=False) or 0)
         return _fail(STOPPED, code) if code == INTERRUPTED else code
     except KeyboardInterrupt:
         return _fail(STOPPED, INTERRUPTED)

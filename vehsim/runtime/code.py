@@ -15,6 +15,7 @@ PACKAGES = ("vehsim", "mujoco", "usd-core", "casadi", "numpy", "scipy", "av", "p
 VEHSIM = Path(__file__).parents[1]
 
 
+@cache
 def version(package: str) -> str | None:
     """A package's version, None if it is not installed."""
     try:

@@ -23,9 +23,10 @@ def _installed() -> Any:
     return importlib.metadata.entry_points()
 
 
-def entries(group: str) -> list[importlib.metadata.EntryPoint]:
+@cache
+def entries(group: str) -> tuple[importlib.metadata.EntryPoint, ...]:
     """The entry points of a group."""
-    return list(_installed().select(group=group))
+    return tuple(_installed().select(group=group))
 
 
 def extensions() -> list[Path]:
