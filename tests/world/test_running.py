@@ -33,7 +33,7 @@ def test_water_rises_along_the_bottom_as_wagner_says(drift):
     side = np.array([1.0, -1.0])
     places = np.column_stack([[0.0, 0.0], side, [slope, slope]])
     through = np.tile([10.0, drift, -down], (2, 1))
-    rise = Lift(rise=WAGNER).risen(np.full(2, 0.2), places, np.zeros(2), through)
+    rise = Lift(rise=WAGNER).risen(np.full(2, 0.2), places, np.zeros(2), through, down)
     entering = np.maximum(down + side * drift * slope, 0.0)
     np.testing.assert_allclose(0.2 + rise, 0.2 * (1 + (np.pi / 2 - 1) * entering / down), rtol=1e-12)
 
@@ -47,10 +47,12 @@ def test_planing_pressure_reaches_the_risen_water_and_not_the_sides():
         columns[:, PLACE], columns[:, THROUGH] = afloat.mesh.points, [10.0, 0.0, -0.5]
         columns[:, DEPTH] = columns[:, HEAD] = deep - afloat.mesh.points[:, 2] - 0.5
         lift = Lift(planing=0.4, rise=WAGNER)
-        wet, splashed = afloat.under(columns, afloat.mesh.faces, np.array([0.0, 0.0, 1.0]), lift)
+        wet, splashed = afloat.under(columns, afloat.mesh.faces, afloat.mesh.bottom, np.array([0.0, 0.0, 1.0]), lift)
         half = [np.abs(surface.corners[:, :, 1]).max() for surface in (wet, splashed)]
         assert half[0] == pytest.approx(deep / np.tan(0.3), rel=1e-6)
         assert half[1] == pytest.approx(min(np.pi / 2 * deep / np.tan(0.3), 1.2), rel=0.02)
         assert (splashed.corners[:, :, 2].max() + 0.5 > 1.2 * np.tan(0.3) - 1e-6) == chines
-        same = afloat.under(columns, afloat.mesh.faces, np.array([0.0, 0.0, 1.0]), Lift(planing=0.4))
+        same = afloat.under(
+            columns, afloat.mesh.faces, afloat.mesh.bottom, np.array([0.0, 0.0, 1.0]), Lift(planing=0.4)
+        )
         assert same[0] is same[1]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hulls import box, floating
 
 import vehsim
 from vehsim.constants import GRAVITY
@@ -184,6 +185,38 @@ def test_rays_from_one_far_point_are_vertical(water):
     for found, point in zip(field.heights(xy), xy, strict=True):
         fell = mujoco.mj_rayHfield(field.model, field.data, 0, np.array([*point, 50.0]), down, None)
         assert found == pytest.approx(50.0 - fell, abs=5e-4)
+
+
+def test_the_fields_triangles_have_the_mean_height_of_the_surface():
+    """Over all crests and troughs they are too low or too high by far less than the samples' own triangles, which miss
+    by a twelfth of the second difference of the waves."""
+    water = Water(surface=wave(1.0, 8.0, 0.4))
+    field, xy = WaterField(water, cell=0.5, samples=65), places(20_000, reach=12.0)
+    field.update(1.3, *box_around(xy))
+    height = water.height(xy, 1.3)
+    share = float(height @ (field.heights(xy) - height) / (height @ height))
+    assert abs(share) < 0.1 * (2 * np.pi / 8 * 0.5) ** 2 / 12
+
+
+@pytest.mark.parametrize("surface", [None, wave(0.5, 15.0), sea_state(1.0, choppiness=0.5)])
+def test_dry_faces_are_not_asked_for(surface, monkeypatch):
+    """The height field knows what is above it: fewer rays, and the same forces as with all of them."""
+    asked, heights = [], WaterField.heights
+
+    def counted(field, xy):
+        asked.append(len(xy))
+        return heights(field, xy)
+
+    monkeypatch.setattr(WaterField, "heights", counted)
+    points, faces = box(8.0, 2.5, 2.0)
+    body = floating((points + np.array([0, 0, 0.5]), faces), 4000.0)
+    afloat = Afloat(body, World(water=Water(surface=surface)))
+    state = State(position=(3.0, 1.0, 0.2), orientation=(0.99, 0.1, 0.05, 0.0), twist=(0.1, 0.2, 0.1, 2.0, 0.0, 0.5))
+    few = afloat.forces(0.3, state, np.zeros(0)).wrench
+    monkeypatch.setattr(WaterField, "ceiling", lambda field, points: np.full(len(points), np.inf))
+    every = Afloat(body, World(water=Water(surface=surface))).forces(0.3, state, np.zeros(0)).wrench
+    np.testing.assert_allclose(few, every, rtol=1e-12, atol=1e-9 * np.abs(every).max())
+    assert asked[0] < 0.8 * asked[1]
 
 
 def test_a_grid_is_the_surface_at_its_samples(water):

@@ -55,9 +55,9 @@ FINEST = 1 / 16
 COARSEST = 1 / 2
 """No edge is longer than this share of the hull's length, because the resistance varies along it when the hull
 turns."""
-FIELD = 1 / 1500
-"""Mean deviation of a cell of the water's height field from the surface, as a share of the hull's mean draft, in waves
-as long as the hull or longer; larger in shorter ones, because it averages out."""
+FIELD = 1 / 375
+"""Mean deviation of triangles between samples of the surface, which the height field makes good, as a share of the
+hull's mean draft, in waves as long as the hull or longer; larger in shorter ones, because it averages out."""
 OTHER = 0.1
 """Coefficients are those of another hull if it floats higher or lower by this share of its mean draft."""
 PANEL = 1 / 7
@@ -340,19 +340,17 @@ class Afloat(Environment):
         R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
         points, faces = (self.mesh.points, self.mesh.faces) if self.water.flat else self.mesh.quadratic
         world = points @ R_wb.T + position
-        carried = np.concatenate([self.response.points, self.data.propulsor_points])
-        places = np.concatenate([world, carried @ R_wb.T + position])
-        motion, n = (self.field or self.water).at(places, t), len(points)
-        elsewhere = Motion(*(part[n:] for part in motion))
-        columns = np.empty((n, COLUMNS))
-        columns[:, PLACE], columns[:, DEPTH] = points, motion.height[:n] - world[:, 2]
-        columns[:, THROUGH] = velocity + cross(omega, points) - motion.velocity[:n] @ R_wb
-        columns[:, HEAD] = columns[:, DEPTH] - motion.fade[:n]
+        others = np.concatenate([self.data.propulsor_points, self.response.points]) @ R_wb.T + position
+        motion, elsewhere, near = self._motion(t, world, others, faces)
+        columns = np.empty((len(points), COLUMNS))
+        columns[:, PLACE], columns[:, DEPTH] = points, motion.height - world[:, 2]
+        columns[:, THROUGH] = velocity + cross(omega, points) - motion.velocity @ R_wb
+        columns[:, HEAD] = columns[:, DEPTH] - motion.fade
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0
-        lift = self.law.at(float((velocity - elsewhere.velocity[: len(self.response.points)].mean(axis=0) @ R_wb)[0]))
-        wet, splashed = self.under(columns, faces, up, lift)
+        lift = self.law.at(float((velocity - self._flow(elsewhere) @ R_wb)[0]))
+        wet, splashed = self.under(columns, faces.compress(near, axis=0), self.mesh.bottom[near], up, lift)
         fastest = float(np.sqrt((columns[:, THROUGH] ** 2).sum(axis=1).max()))
         speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air, any part may hit the water next
         if len(wet.normals):
@@ -361,22 +359,69 @@ class Afloat(Environment):
             torque_force, entering, into = self.surface(wet, splashed, lift)
             speeds = (into, fastest)
         forces = Forces(torque_force, volume, immersion, speeds, lift)
-        depths = elsewhere.height - places[n:, 2]
+        depths = (elsewhere.height - others[:, 2])[: len(self.data.propulsor_points)]
         self._couple(forces, t, controls, wind, (R_wb, position, omega, velocity), elsewhere, depths, entering)
         self._last = state, forces, controls, wind
         return forces
 
-    def under(self, columns: Array, faces: Any, up: Array, lift: Lift) -> tuple[Wetted, Wetted]:
-        """The wetted part of ``faces`` of `mesh`, and that on which planing pressure acts: up to where the water rises
-        along the bottom. ``columns`` (n, COLUMNS) of their nodes; their `RISEN` is set here."""
+    def _motion(self, t: float, world: Array, others: Array, faces: Any) -> tuple[Motion, Motion, Any]:
+        """The water at the nodes ``world`` (n, 3) m of ``faces`` (m, 3 or 6) and at ``others`` (k, 3) m, propulsors
+        first, and which faces may be wet (m,).
+
+        The height field knows which faces are above it. Nodes of these alone are not evaluated: they have its height
+        and the mean flow. Of the response's points, only the flow is needed.
+        """
+        n, places = len(world), np.concatenate([world, others])
+        if self.field is None:
+            found = self.water.at(places, t)
+            return (
+                Motion(*(part[:n] for part in found)),
+                Motion(*(part[n:] for part in found)),
+                np.ones(len(faces), bool),
+            )
+        self.field.cover(places, t)
+        height = self.field.ceiling(world)
+        low = world[:, 2] <= height
+        near = low.take(faces[:, 0]) | low.take(faces[:, 1]) | low.take(faces[:, 2])
+        if self.law.rise is not None:  # water rises along the bottom
+            near |= self.mesh.bottom
+        asked = np.zeros(len(places), bool)
+        asked[faces.compress(near, axis=0)] = asked[n:] = True
+        index = np.flatnonzero(asked)
+        found = self.field.motion(places.take(index, axis=0), t, len(self.response.points))
+        count = len(index) - len(others)
+        elsewhere, index = Motion(*(part[count:] for part in found)), index[:count]
+        motion = Motion(height, np.empty((n, 3)), np.zeros((n, 3)), np.zeros(n))
+        motion.velocity[:] = self._flow(elsewhere)
+        for whole, part in zip(motion, found, strict=True):
+            whole[index] = part[:count]
+        return motion, elsewhere, near
+
+    def _flow(self, others: Motion) -> Array:
+        """Mean velocity (3,) m/s of the water over the wetted surface at rest."""
+        velocities = others.velocity[len(self.data.propulsor_points) :]
+        return np.asarray(np.ones(len(velocities)) @ velocities / len(velocities))
+
+    def under(self, columns: Array, faces: Any, bottom: Any, up: Array, lift: Lift) -> tuple[Wetted, Wetted]:
+        """The wetted part of ``faces`` (m, 3 or 6) of `mesh`, and that on which planing pressure acts: up to where the
+        water rises along its ``bottom`` (m,). ``columns`` (n, COLUMNS) of their nodes; their `RISEN` is set here."""
         if not lift.rise:
             wet = wetted(columns, faces)
             return wet, wet
         keel, up_by = self._keel[: len(columns)], columns[:, PLACE] @ up
         deep = columns[:, DEPTH] + up_by - columns[:, 0] * up[0] - keel * up[2]
-        columns[:, RISEN] = columns[:, DEPTH] + lift.risen(deep, columns[:, PLACE], keel, columns[:, THROUGH])
-        bottom, sides = faces[self.mesh.bottom], wetted(columns, faces[~self.mesh.bottom])
-        return wetted(columns, bottom) + sides, wetted(columns, bottom, RISEN) + sides
+        down = -float(columns[self._lowest[: len(columns)], THROUGH.stop - 1].mean())
+        columns[:, RISEN] = columns[:, DEPTH] + lift.risen(deep, columns[:, PLACE], keel, columns[:, THROUGH], down)
+        below, sides = faces[bottom], wetted(columns, faces[~bottom])
+        return wetted(columns, below) + sides, wetted(columns, below, RISEN) + sides
+
+    @cached_property
+    def _lowest(self) -> NDArray[np.bool_]:
+        """Whether each node of `mesh` is on its bottom."""
+        nodes, faces = self.mesh.quadratic
+        found = np.zeros(len(nodes), bool)
+        found[faces[self.mesh.bottom]] = True
+        return found
 
     @cached_property
     def _keel(self) -> Array:
@@ -430,13 +475,15 @@ class Afloat(Environment):
     ) -> None:
         """Added mass in moving water, propulsion and wind: effects on the body as a whole.
 
-        ``water``: at the points of the hull's `response` and at its propulsors; ``depths`` of these places.
+        ``water``: at its propulsors, with their ``depths`` m, and at the points of the hull's `response`.
         """
         hull = self.data
         R_wb, position, omega, velocity = body
-        flows, n = water.velocity @ R_wb, len(self.response.points)
+        n = len(depths)
+        flows = water.velocity @ R_wb
+        around = flows[n:]
         if np.any(self.added_mass_at_rest):
-            through = np.concatenate([omega, velocity]) - self.response.twist(flows[:n])
+            through = np.concatenate([omega, velocity]) - self.response.twist(around)
             slow = self.added_mass if self.seakeeping is None else self.seakeeping.slow
             momentum = forces.immersion * slow @ through
             # Kirchhoff's equations in the waterplane, for the motion through the water. Perpendicular to it they would
@@ -448,14 +495,14 @@ class Afloat(Environment):
                 forces.wrench += forces.immersion * waves
             if self.seakeeping is None or not self.seakeeping.complete:
                 # the water's own acceleration, in the axes that turn with the body, carries the hull along
-                change = water.acceleration[:n] @ R_wb - cross(omega, flows[:n])
+                change = water.acceleration[n:] @ R_wb - cross(omega, around)
                 forces.wrench += forces.immersion * self.added_mass @ self.response.twist(change)
             # water set in motion (von Karman); a hull that leaves takes its water along
             if forces.immersion < 1 and entering > 0:
                 forces.wrench -= entering / self.rest_volume * self.added_mass @ through
         if self._propulsion is not None:
-            depth = depths[n:] / hull.propulsor_size + 0.5
-            flow = flows[n:].mean(axis=0) if len(flows) > n else np.zeros(3)
+            depth = depths / hull.propulsor_size + 0.5
+            flow = flows[:n].mean(axis=0) if n else np.zeros(3)
             through = np.concatenate([omega, velocity - flow])
             forces.wrench += self._propulsion(controls, through, np.clip(depth, 0, 1))[0]
         if self._windage is not None:

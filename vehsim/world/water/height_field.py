@@ -1,8 +1,8 @@
 """The water's surface in a MuJoCo model: a height field that follows time and the hull above it.
 
 MuJoCo evaluates the height of the water over the hull (LIE 4.3.2). It knows triangles only, so heights differ from the
-surface by the curvature within a cell; `Afloat` chooses cells by the effect on its hull. The surface itself gives the
-flow.
+surface within a cell, but not on average (`level_with`); `Afloat` chooses cells by the effect on its hull. The surface
+itself gives the flow.
 """
 
 from __future__ import annotations
@@ -63,18 +63,41 @@ class WaterField:
         self.low = self.high = np.full(2, np.nan)  # empty so far
         self.window: Window | None = None
         self.shift: Array | None = None
+        self.tops = np.zeros((1, 1))
+        """The highest sample of each cell (rows - 1, cols - 1), m."""
         self.top = float(size.max()) * FAR
 
     def at(self, points: Array, t: float) -> Motion:
         """The water at ``points`` (n, 3) m and ``t`` s, with the height of its surface from MuJoCo, after moving the
         field there."""
-        xy = points[:, :2]
-        low, high = xy.min(axis=0), xy.max(axis=0)
+        self.cover(points, t)
+        return self.motion(points, t)
+
+    def cover(self, points: Array, t: float) -> None:
+        """Write the surface at ``t`` s over ``points`` (n, 3) m."""
+        x, y = points[:, 0], points[:, 1]  # reductions along an axis of three take eight times as long
+        low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
         if not (self.water.flat and (self.low <= low).all() and (high <= self.high).all()):
             self.update(t, low, high)
+
+    def motion(self, points: Array, t: float, others: int = 0) -> Motion:
+        """The water at ``points`` (n, 3) m, which the field covers at ``t`` s. At the last ``others`` of
+        them, the height is that of the formula."""
         # first, because it reports points outside a solver's grid
-        found = self.water.at(points, t, self._rest(xy))
-        return found._replace(height=self.heights(xy))
+        found = self.water.at(points, t, self._rest(points[:, :2]))
+        found.height[: len(points) - others] = self.heights(points[: len(points) - others, :2])
+        return found
+
+    def ceiling(self, points: Array) -> Array:
+        """The highest sample (n,) m around each of ``points`` (n, 3) m; inf outside a solver's grid."""
+        if self.water.flat:
+            return np.full(len(points), self.water.level)
+        rows, cols = self.tops.shape
+        col, row = ((points[:, k] - self.low[k]) / self.cell[k] for k in range(2))
+        known = self.tops.take(row.astype(np.int64) * cols + col.astype(np.int64), mode="clip")
+        if self.water.grids is None:
+            return known
+        return np.where((col >= 0) & (col < cols) & (row >= 0) & (row < rows), known, np.inf)
 
     def _rest(self, xy: Array) -> Array | None:
         """Approximate rest positions (n, 2) of the water at ``xy`` (n, 2), interpolated between the samples."""
@@ -114,6 +137,10 @@ class WaterField:
         x, y = (self.anchor[i] + self.cell[i] * np.arange(first[i], last[i] + 1) for i in range(2))
         heights, rest = self.water.grid(x, y, t)
         self.shift = None if rest is None else rest - np.stack(np.meshgrid(x, y), axis=-1)
+        if self.water.grids is None:
+            heights = level_with(heights)
+        pairs = np.maximum(heights[:-1], heights[1:])
+        self.tops = np.maximum(pairs[:, :-1], pairs[:, 1:])
         bottom, relief = float(heights.min()), max(float(np.ptp(heights)), 1e-3)
         model = self.model
         model.hfield_ncol[0], model.hfield_nrow[0] = len(x), len(y)
@@ -144,3 +171,13 @@ class WaterField:
                 subject="water field",
             )
         return np.asarray(bottom + self.top * (1.0 - share))
+
+
+def level_with(heights: Array) -> Array:
+    """Heights (rows, cols) between which MuJoCo's triangles are as high, on average, as the smooth surface with samples
+    ``heights``. Between the samples themselves they are too low at crests and too high in troughs, by 1/24 of the sum
+    of the second differences along their three edges. Samples at the border stay."""
+    inner, found = heights[1:-1, 1:-1], heights.copy()
+    along, across = heights[1:-1, 2:] + heights[1:-1, :-2], heights[2:, 1:-1] + heights[:-2, 1:-1]
+    found[1:-1, 1:-1] = inner - (along + across + heights[2:, 2:] + heights[:-2, :-2] - 6 * inner) / 24
+    return found

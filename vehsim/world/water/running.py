@@ -43,17 +43,17 @@ class Lift:
     transom: tuple[float, float] | None = None
     rise: float = 0.0
 
-    def risen(self, deep: Array, places: Array, keel: Array, through: Array) -> Array:
+    def risen(self, deep: Array, places: Array, keel: Array, through: Array, down: float) -> Array:
         """How much the water rises at ``places`` (n, 3) of the bottom, m, where the keel is ``deep`` (n,) m below the
         undisturbed surface and at the heights ``keel`` (n,).
 
         Each half of a wedge has its own rise, in proportion to its speed into the water: a drifting or rolling hull has
-        more on one side (at most `UNEVEN` times that of both), so that boats lean into turns. ``through`` (n, 3) m/s.
+        more on one side (at most `UNEVEN` times that of both), so that boats lean into turns. ``through`` (n, 3) m/s,
+        and ``down`` m/s: that of the bottom downwards.
         """
-        down = max(-float(through[:, 2].mean()), 1e-3)
         slope = (places[:, 2] - keel) / np.maximum(np.abs(places[:, 1]), 1e-9)
         entering = slope * np.sign(places[:, 1]) * through[:, 1] - through[:, 2]
-        return self.rise * np.maximum(deep, 0.0) * np.clip(entering / down, 0.0, UNEVEN)
+        return self.rise * np.maximum(deep, 0.0) * np.clip(entering / max(down, 1e-3), 0.0, UNEVEN)
 
     def missing(self, x: Array) -> Array:
         """The share of the pressure that is missing at ``x`` m ahead of the body frame's origin."""
@@ -93,7 +93,7 @@ class Boat(Protocol):
     @property
     def rest_volume(self) -> float: ...
 
-    def under(self, columns: Array, faces: Any, up: Array, lift: Lift) -> tuple[Wetted, Wetted]:
+    def under(self, columns: Array, faces: Any, bottom: Any, up: Array, lift: Lift) -> tuple[Wetted, Wetted]:
         """The wetted surface, and that on which planing pressure acts."""
 
     def surface(self, wet: Wetted, splashed: Wetted, lift: Lift) -> tuple[Array, float, float]:
@@ -226,7 +226,7 @@ def _cut(boat: Boat, trim: float, height: float, speed: float = 0.0, lift: Lift 
     columns = np.zeros((len(points), COLUMNS))
     columns[:, PLACE], columns[:, DEPTH] = points, -height - points @ up
     columns[:, HEAD], columns[:, THROUGH] = columns[:, DEPTH], speed * np.array([up[2], 0.0, -up[0]])
-    return boat.under(columns, boat.mesh.faces, up, lift or Lift())
+    return boat.under(columns, boat.mesh.faces, boat.mesh.bottom, up, lift or Lift())
 
 
 def _trim_at_rest(boat: Boat) -> float:

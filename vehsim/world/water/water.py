@@ -198,18 +198,20 @@ class Waves:
     def grid(self, x: Array, y: Array, t: float) -> tuple[Array, Array | None]:
         """See `Surface`. Sums of products of functions of ``x`` and of ``y``; if they do not give the rest positions,
         Newton's first step from there, and further steps point by point."""
-        across = _turns(self.number[:, 0], x)
+        across = _turns(self.number[:, 0], x).conj()
         along = _turns(self.number[:, 1], y) * np.exp(1j * (self.phase - self.omega * t))
 
-        def waves(share: Array) -> NDArray[np.complex128]:
-            return np.asarray((share * along) @ across.T)
+        def waves(share: Array, across: NDArray[np.complex128] = across) -> Array:
+            return np.asarray((share * along).view(float) @ across.view(float).T)  # the real part
 
+        if self.choppiness == 0 and self.shelter is None:
+            return waves(self.amplitude), None
         xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         left = self.share(xy)
         if self.choppiness == 0:
-            return left.reshape(len(y), len(x)) * waves(self.amplitude).real, None
-        gap = left * np.stack([waves(share).imag.ravel() for share in self._shift.T], axis=1)
-        start = xy + _newton(gap, left * np.stack([waves(share).real.ravel() for share in self._stretch.T], axis=1))
+            return left.reshape(len(y), len(x)) * waves(self.amplitude), None
+        gap = left * np.stack([waves(share, 1j * across).ravel() for share in self._shift.T], axis=1)
+        start = xy + _newton(gap, left * np.stack([waves(share).ravel() for share in self._stretch.T], axis=1))
         height, rest = np.empty(len(xy)), np.empty((len(xy), 2))
         for block in self._blocks(len(xy)):
             found, cos, sin = self._solved(xy[block], t, start[block], NEAR)
