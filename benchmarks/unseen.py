@@ -42,11 +42,11 @@ HEAD = """# Unseen problems, measured
 gaps, wheels among random obstacles and into parking gaps, snakeboards from rest to rest, boats that dock in wind. The
 character is the default; what takes too little time for it is driven in a harder one. *Certified* counts the plans that
 succeed within {seconds:g} s of CPU time, first loads and distances to a new terrain included. Of the others, *no path*
-counts those where a sampling planner of OMPL finds none in {patience:g} s, and *frame helps* those whose message names
-a later frame with which the same problem is certified. {finished} of the {all} problems of a whole run are finished;
-they were run in turn, at the same pace in each family.
+counts those where a sampling planner of OMPL finds none in {patience:g} s, and *remedy helps* those whose message names
+a later frame or a smaller clearance with which the same problem is certified. {finished} of the {all} problems of a
+whole run are finished; they were run in turn, at the same pace in each family.
 
-| family | problems | certified | no path | frame helps | CPU, median s | 90 % | slowest |
+| family | problems | certified | no path | remedy helps | CPU, median s | 90 % | slowest |
 |---|---|---|---|---|---|---|---|
 """
 
@@ -229,7 +229,7 @@ class Outcome:
     """The result of one problem: CPU time s, and the message if it has no certified plan.
 
     ``path``: whether an independent sampling planner found one, None if it was not asked; ``helps``: whether the frame
-    that the message names helps, None if it names none.
+    or the clearance that the message names helps, None if it names none.
     """
 
     family: str
@@ -244,7 +244,7 @@ class Outcome:
     def line(self) -> str:
         verdict = "certified" if self.success else f"FAILED: {self.message}"
         verdict += {None: "", True: "; sampling finds a path", False: "; sampling finds no path"}[self.path]
-        verdict += {None: "", True: "; with this frame: certified", False: "; with this frame: FAILED"}[self.helps]
+        verdict += {None: "", True: "; with this remedy: certified", False: "; with this remedy: FAILED"}[self.helps]
         return f"{self.family} {self.seed}: {self.seconds:.1f} s, {self.iterations} iterations, {verdict}"
 
 
@@ -259,18 +259,23 @@ def attempt(family: str, seed: int) -> Outcome:
         outcome = Outcome(family, seed, time.process_time() - begun, plan.success, plan.message, plan.iterations)
     if outcome.success:
         return outcome
-    return replace(outcome, path=sampling.find_path(problem), helps=_frame_helps(problem, outcome.message))
+    return replace(outcome, path=sampling.find_path(problem), helps=_remedy_helps(problem, outcome.message))
 
 
-def _frame_helps(problem: Problem, message: str) -> bool | None:
-    """Whether the later frame that a message names is enough; None if it names none."""
-    named = re.search(r"mark\[(\d+)\]\.frame = \d+ is too early; (?:earliest|it takes until) (\d+)", message)
-    if named is None:
+def _remedy_helps(problem: Problem, message: str) -> bool | None:
+    """Whether the later frame, or the clearance, that a message names is enough; None if it names none."""
+    late = re.search(r"mark\[(\d+)\]\.frame = \d+ is too early; (?:earliest|it takes until) (\d+)", message)
+    near = re.search(r"a motion was found with clearance = ([\d.e-]+)", message)
+    if late is not None:
+        marks = list(problem.marks)
+        marks[int(late[1])] = replace(marks[int(late[1])], frame=int(late[2]))
+        problem = replace(problem, marks=marks)
+    elif near is not None:
+        problem = replace(problem, asked={**problem.asked, "clearance": float(near[1])})
+    else:
         return None
-    marks = list(problem.marks)
-    marks[int(named[1])] = replace(marks[int(named[1])], frame=int(named[2]))
     try:
-        return bool(replace(problem, marks=marks).plan().success)
+        return bool(problem.plan().success)
     except VehsimError:
         return False
 

@@ -129,6 +129,24 @@ def test_misses_are_reported_in_the_marks_units():
     assert _amount("orientation", np.array([0, 0, 0.5])) == "60 deg"
 
 
+def test_a_mark_missed_near_an_obstacle_comes_with_a_possible_clearance():
+    """Wind pushes the boat onto the jetty: it cannot come to rest there without coming closer just before."""
+    jetty = box("jetty", (0, 3.0, -0.9), (16, 2.4, 1.5))
+    world = vehsim.World(wind=(0, 7, 0), water=0.0, obstacles=[jetty])
+    marks = [
+        Mark(1, position=(-20, -10, 0), heading=0, velocity=REST),
+        Mark(337, position=(0, 0, 0), heading=0, velocity=REST),
+    ]
+    boat = vehsim.load_vehicle("boat")
+    with pytest.warns(UserWarning, match=r"velocity is missed by .* m/s; a motion was found with clearance = \d"):
+        failed = vehsim.plan(boat, world, marks, clearance=0.5, segments=32)
+    assert 0 <= failed.possible_clearance < 0.5
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made = vehsim.plan(boat, world, marks, clearance=failed.possible_clearance, segments=32)
+    assert made.success and made.clearance >= failed.possible_clearance - 1e-3
+
+
 def test_feasible_marks_are_not_refused():
     """Slightly inside every bound, and free marks, which have no frame that could be too early."""
     assert not messages_of([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})

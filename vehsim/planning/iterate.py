@@ -32,10 +32,14 @@ NOT_RUN = Executed(np.inf, np.inf, np.inf)
 
 @dataclass(frozen=True)
 class Why:
-    """Why a plan failed, false if it is not known; ``frames``: of marks, by name, with which a motion was found."""
+    """Why a plan failed, false if it is not known.
+
+    ``frames``: of marks, by name, with which a motion was found; ``clearance`` m: the same, None if none was found.
+    """
 
     text: str = ""
     frames: Mapping[str, int] = field(default_factory=dict)
+    clearance: float | None = None
 
     def __bool__(self) -> bool:
         return bool(self.text)

@@ -147,6 +147,11 @@ class Plan:
         """Frames of marks, by name, with which a motion was found after this plan had failed; empty if none was."""
         return {} if self._iterate is None else dict(self._iterate.why.frames)
 
+    @property
+    def possible_clearance(self) -> float | None:
+        """A smaller clearance, m, with which a motion was found after this plan had failed; None if none was."""
+        return None if self._iterate is None else self._iterate.why.clearance
+
     def replan(self, marks: Sequence[Mark], progress: Progress | None = None) -> Plan:
         """The plan for other marks, started from this one: fast if the marks fix the same quantities at other
         values."""

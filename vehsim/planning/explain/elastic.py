@@ -21,6 +21,7 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.solver import LOOSEN, Solution, Solver
 from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.request.character import NO_TRAITS
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import Trajectory
 
@@ -32,6 +33,8 @@ ITERATIONS = 200
 """Maximum number of iterations for each relaxed problem."""
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Shares of the time since the first mark that are added until a plan at whole frames is found."""
+SHARES = (0.5, 0.25, 0.0)
+"""Shares of the requested clearance that are tried, in turn, where marks near obstacles are missed."""
 NOTHING = 1e-3
 """Misses and delays below this count as zero, in m and s."""
 
@@ -77,8 +80,29 @@ def diagnose(run: Run, guess: Iterate) -> tuple[Why, Array | None]:
     if x is not None and not missed:
         return Why(), x
     late = too_early(run, guess if x is None else replace(guess, x=x)) or _by_leg(run, guess)
-    texts = filter(None, (late.text, missed, LOOSEN if missed and not late else ""))
-    return replace(late, text="; ".join(texts)), None
+    clearance = _possible_clearance(run, guess) if missed and not late else None
+    closer = "" if clearance is None else f"a motion was found with clearance = {clearance:g}"
+    texts = filter(None, (late.text, missed, closer, LOOSEN if missed and not late and not closer else ""))
+    return replace(late, text="; ".join(texts), clearance=clearance), None
+
+
+def _possible_clearance(run: Run, failed: Iterate) -> float | None:
+    """A smaller clearance, m, with which a motion was found along the same paths; None if none was, or nothing is
+    near."""
+    request = failed.request
+    for share in SHARES if failed.blocked and request.clearance > 0 else ():
+        if run.deadline.late:
+            return None
+        closer = replace(request, clearance=float(f"{share * request.clearance:.2g}"), deadline=math.inf)
+        closer = replace(
+            closer, max_iterations=affordable(failed.layout.size, request.max_iterations), traits=NO_TRAITS
+        )
+        other = Run(closer)
+        guess = begin(other, closer, failed.transcription, failed.cover, failed.paths)
+        other.deadline.end = run.deadline.end
+        if solve(other, guess).success:
+            return closer.clearance
+    return None
 
 
 def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:

@@ -189,8 +189,10 @@ class PlanMotion(Table):
             )
         if not result.success:
             error = SolveError(f"no plan was found: {result.message}", reason=result.reason, subject=vehicle.name)
-            fixes = tuple((f"{name}.frame", frame) for name, frame in result.possible.items())
-            error.problems = [replace(error.problem, fixes=fixes)]
+            fixes: dict[str, float] = {f"{name}.frame": frame for name, frame in result.possible.items()}
+            if result.possible_clearance is not None:
+                fixes["clearance"] = result.possible_clearance
+            error.problems = [replace(error.problem, fixes=tuple(fixes.items()))]
             raise error
         # the duration of the solve is omitted: the same shot gives the same report
         names = ("success", "message", "cost", "duration", "iterations", "segments", "defect", "clearance", "character")
