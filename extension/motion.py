@@ -10,8 +10,8 @@ from . import blender
 from .shots import folder_of, identifier, rate
 
 PLACE = "vehsim_place"
-"""Custom property of an object: its path in the vehicle's layer; of an empty that its curves need, that path, a dot and
-a number, which no prim's name has."""
+"""Custom property of an object: its path in the vehicle's layer, with the names that Blender shows; of an empty that
+its curves need, that path, a dot and a number, which no prim's name has."""
 
 
 def show(scene, vehicle, delivery, motion):
@@ -21,8 +21,7 @@ def show(scene, vehicle, delivery, motion):
     """
     layer = delivery / "layers" / f"{vehicle.name}.anim.usdc"
     imported = _import(scene, layer)
-    for found in imported:
-        found[PLACE] = _place(found)
+    mark_places(imported)
     present = set(bpy.data.objects)
     keys = layer if motion == "exact" else layer.with_name(f"{vehicle.name}.curves.usda")
     frame = scene.frame_current
@@ -112,9 +111,20 @@ def _import(scene, layer):
     return [found for found in bpy.data.objects if found not in before]
 
 
-def _place(found):
-    name = re.sub(blender.NUMBERED, "", found.name)
-    return f"{_place(found.parent) if found.parent else ''}/{name}"
+def mark_places(imported):
+    """Give every object its `PLACE`. An Xform with a single mesh becomes one object with the mesh's name, so wheels may
+    share a name: Blender numbers them in the order of their prims."""
+    places = {}
+    for found in sorted(imported, key=lambda found: (_depth(found), found.name)):
+        above = found.parent[PLACE] if found.parent in places else ""
+        place = f"{above}/{re.sub(blender.NUMBERED, '', found.name)}"
+        twins = sum(other == place for other in places.values())
+        places[found] = place
+        found[PLACE] = f"{place}#{twins}" if twins else place
+
+
+def _depth(found):
+    return 0 if found.parent is None else 1 + _depth(found.parent)
 
 
 def _adopt(collection, made):

@@ -103,6 +103,11 @@ def keys(thing):
     return {name: len(curve.keyframe_points) for name, curve in curves(thing).items()}
 
 
+def blender_path(thing):
+    """The prim that an imported object follows; "" if it stands still."""
+    return next((each.object_path for each in thing.constraints if hasattr(each, "object_path")), "")
+
+
 # ---------------------------------------------------------------- without vehsim, then connected
 bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
 try:
@@ -173,6 +178,26 @@ bpy.ops.vehsim.bake(motion="exact")
 found["baked"], found["keys baked"] = places(car), keys(car)
 bpy.ops.vehsim.export(directory=str(folder / "delivery"), to="usd,csv")
 found["export"] = finished()
+
+# ---------------------------------------------------------------- wheels whose meshes share a name
+wheel = """    def Xform "{}" {{
+        double3 xformOp:rotateXYZ.timeSamples = {{ 1: (0, 0, 0), 9: (90, 0, 0) }}
+        uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]
+        def Mesh "tyre" {{
+            int[] faceVertexCounts = [3]
+            int[] faceVertexIndices = [0, 1, 2]
+            point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+        }}
+    }}
+"""
+twins = folder / "twins.usda"
+wheels = "".join(wheel.format(name) for name in ("left", "middle", "right"))
+twins.write_text(f'#usda 1.0\n(\n    upAxis = "Z"\n)\ndef Xform "van" {{\n{wheels}}}\n')
+found["twins"] = []
+for _ in range(2):
+    imported = motion._import(scene, twins)
+    motion.mark_places(imported)
+    found["twins"].append({each[motion.PLACE]: blender_path(each) for each in imported})
 
 # ---------------------------------------------------------------- another file, switched off
 own.vehicle.name = "renamed"  # its result has the earlier name

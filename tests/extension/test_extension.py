@@ -157,6 +157,15 @@ def test_the_exported_delivery_has_the_edit(found: dict[str, Any]) -> None:
 
 
 @needs_blender
+def test_wheels_whose_meshes_share_a_name_are_told_apart(found: dict[str, Any]) -> None:
+    """Blender names the objects "tyre", "tyre.001" and so on, and others when they are imported again."""
+    first, again = found["twins"]
+    assert first == again and sorted(first) == ["/van", "/van/tyre", "/van/tyre#1", "/van/tyre#2"]
+    wheels = [first[place].split("/")[2] for place in sorted(first)[1:]]
+    assert wheels == ["left", "middle", "right"]
+
+
+@needs_blender
 def test_work_ends_with_the_file_and_nothing_stays_registered(found: dict[str, Any]) -> None:
     assert found["ended"] and not found["left"]
 
