@@ -94,6 +94,16 @@ def test_a_helicopter_stays_within_a_centimetre_where_nothing_was_touched(flight
     assert np.linalg.norm(executed(made.clip) - made.clip.positions[-1]) < 0.1
 
 
+def test_a_disc_tilts_after_an_edit_as_before(flight):
+    made = retouch(flight, None, *bumped(flight, 1035, 1062, (0.0, 0.0, 0.3)))
+    (window,) = made.windows
+    later = np.arange(window[1] + 5, 1098)  # a curve through samples differs beside the first of them
+    assert len(later) > 5
+    for name in ("disc_pitch", "disc_roll"):
+        before, after = (clip.at((later - 1001) / 24).channels[name] for clip in (flight, made.clip))
+        assert after == pytest.approx(before, abs=1e-9), name
+
+
 def test_what_cannot_be_met_is_named_with_its_frame_and_amount(flight):
     frames, positions, rotations = bumped(flight, 1035, 1075, (0.0, 0.0, 0.0))
     positions[frames == 1055] += (0.0, 3.0, 0.0)  # there and back in two frames

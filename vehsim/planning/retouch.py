@@ -45,6 +45,7 @@ from vehsim.planning.trim import is_pushed
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import STUNT
+from vehsim.vehicles.definition.joint_channels import joint_channels
 
 Array = NDArray[np.float64]
 
@@ -536,34 +537,45 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _replaced(clip: Clip, motion: Clip, window: tuple[int, int]) -> Clip:
-    """The clip with another motion in a window; what accumulates, such as the angle of a wheel, continues from it."""
+    """The clip with another motion in a window; what accumulates, such as the angle of a wheel, continues from it, and
+    everything else is afterwards what it was."""
     first, last = _times(clip, np.array(window, float))
     before, after = clip.times < first - 1e-9, clip.times > last + 1e-9
     entry, leave = clip.at(first), clip.at(last)
 
-    def joined(old: Array, new: Array, enters: Any, leaves: Any, carried: bool) -> Array:
-        new = new + carried * (enters - new[0])
-        return np.concatenate([old[before], new, old[after] + (new[-1] - leaves)])
+    def joined(old: Array, new: Array, enters: Any, leaves: Any, starts_anew: bool, carried: bool) -> Array:
+        new = new + starts_anew * (enters - new[0])
+        return np.concatenate([old[before], new, old[after] + carried * (new[-1] - leaves)])
 
     laws = clip.vehicle.channels
     rates = {name for name in clip.channels if name in laws and laws[name].rate is not None}
+    turns_with_joints = joint_channels(clip.vehicle, clip.joints[:1])
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(clip, name)[before], getattr(motion, name), getattr(clip, name)[after]])
         for name in ("positions", "twists", "joint_rates", "controls")
     }
-    turns = np.concatenate([clip.orientations[before], motion.orientations, clip.orientations[after]])
+    attitudes = np.concatenate([clip.orientations[before], motion.orientations, clip.orientations[after]])
     return replace(
         clip,
         times=np.concatenate([clip.times[before], motion.times + first, clip.times[after]]),
-        orientations=continuous(turns),
-        joints=joined(clip.joints, motion.joints, entry.joints[0], leave.joints[0], False),
+        orientations=continuous(attitudes),
+        joints=joined(clip.joints, motion.joints, entry.joints[0], leave.joints[0], False, True),
         channels={
-            name: joined(values, motion.channels[name], entry.channels[name][0], leave.channels[name][0], name in rates)
+            name: joined(
+                values,
+                motion.channels[name],
+                entry.channels[name][0],
+                leave.channels[name][0],
+                name in rates,
+                name in rates or name in turns_with_joints,
+            )
             for name, values in clip.channels.items()
             if name in motion.channels
         },
         energy={
-            name: joined(values, motion.energy[name], entry.energy[name][0], leave.energy[name][0], name in SPENT)
+            name: joined(
+                values, motion.energy[name], entry.energy[name][0], leave.energy[name][0], name in SPENT, name in SPENT
+            )
             for name, values in clip.energy.items()
             if name in motion.energy
         },
