@@ -127,6 +127,40 @@ def test_a_hurried_flight_is_planned_in_few_iterations_in_a_character_that_suits
         np.testing.assert_array_equal(made.clip.controls, stunt.clip.controls)
 
 
+def test_marks_on_hills_that_need_a_stunt_are_recognised_in_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the costs of a character, two solves took their 200 iterations and failed, only to be thrown away."""
+    tried, runs = [], []
+    attempt, begun = planner._attempt, planner.Run
+
+    def attempted(request: Any, *others: Any, **options: Any) -> Plan:
+        tried.append(request.traits.name)
+        return attempt(request, *others, **options)
+
+    def run(*arguments: Any) -> Any:
+        runs.append(begun(*arguments))
+        return runs[-1]
+
+    monkeypatch.setattr(planner, "_attempt", attempted)
+    monkeypatch.setattr(planner, "Run", run)
+    marks = [
+        Mark(1, position=STILL, heading=0, velocity=STILL),
+        Mark(121, position=(30, 8, 0), heading=0, velocity=STILL),
+    ]
+    with pytest.warns(UserWarning, match="driven as stunt: the marks leave too little time for normal"):
+        made = vehsim.plan(CAR, vehsim.World("hills"), marks)
+    assert made.success and tried == ["normal", "stunt"]
+    assert sum(one.iterations for one in runs) < 200
+
+
+def test_comparison_with_a_stunt_changes_no_motion_that_suits(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = drive("normal")
+    monkeypatch.setattr(planner, "QUICK", 1)
+    compared = drive("normal")
+    assert compared.iterations > usual.iterations
+    np.testing.assert_array_equal(compared.clip.controls, usual.clip.controls)
+    np.testing.assert_array_equal(compared.clip.positions, usual.clip.positions)
+
+
 def test_marks_that_are_much_too_early_are_met_with_a_warning() -> None:
     marks = [Mark(1, position=(0, 0, 20), velocity=STILL), Mark(170, position=(100, 0, 25), velocity=STILL)]
     with pytest.warns(UserWarning, match="too little time for normal|beyond normal: character.bank|no normal motion"):

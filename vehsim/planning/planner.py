@@ -39,12 +39,12 @@ from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import ends_elsewhere, execution_tolerance, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
-from vehsim.planning.request.character import NO_TRAITS
+from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.legs import facing, same_headings
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import facing_clear
 from vehsim.planning.request.request import Request, all_marks, make_request
-from vehsim.planning.restraint import in_character, restrain, without_character
+from vehsim.planning.restraint import in_character, nearby, restrain, without_character
 from vehsim.planning.solve import begin, give_up, solve
 from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
@@ -80,6 +80,8 @@ TOPS = {
 TOO_HARD = 1.5
 """Ratio of a motion to a limit of its character above which the next harder character is the better choice: easing in
 and out of rest would take time that the rest of the motion needs, which then is harder than a stunt."""
+QUICK = 60
+"""Iterations after which a solve in a character is compared with a stunt."""
 STRAINED, WORTH = 1.15, 0.9
 """Where the spheres around a vehicle press on a motion that exceeds a limit of its character by this ratio, its hulls
 are used instead, if they reduce the ratio by this factor or more."""
@@ -246,17 +248,23 @@ def _beyond(rows: Sequence[Row]) -> list[str]:
 
 
 class _TooHard(Exception):
-    """The coarse motion exceeds its character by far, and there is a harder one."""
+    """A coarse ``motion`` exceeds its character by far, and there is a harder one."""
+
+    def __init__(self, motion: Iterate) -> None:
+        self.motion = motion
 
 
 def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     """The plan in its character; where the motion would exceed that by far, in the next harder character."""
-    made, traits = _unless_too_hard(request, progress, guess), request.traits
-    while made is None and traits.harder is not None:
-        again = _unless_too_hard(replace(request, traits=traits.harder), progress, guess)
+    beyond: list[Iterate] = []
+    made, traits = _unless_too_hard(request, progress, guess, beyond), request.traits
+    while made is None and (harder := traits.harder) is not None:
+        again = None
+        if not _beyond_too(beyond, harder):
+            again = _unless_too_hard(replace(request, traits=harder), progress, guess, beyond)
         if again is not None and not again.success:
             break
-        made, traits = again, traits.harder
+        made, traits = again, harder
     if made is None:  # no harder motion was found
         made = _in_one_character(replace(request, traits=traits), progress, guess)
     if traits is request.traits:
@@ -266,35 +274,49 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     late = made._run.deadline.late
     if made.success and not late and not _is_too_hard(made._run, replace(made._iterate, request=request)):
         # the requested character only began from a worse guess, such as to turn round instead of reversing
-        near = _unless_too_hard(request, progress, made.clip)
+        near = _unless_too_hard(request, progress, made.clip, [])
         if near is not None and near.success:
             return near
         why = "no {} motion was found"
     return _remarked(made, f"; driven as {found}: {why.format(request.traits.name)}")
 
 
-def _unless_too_hard(request: Request, progress: Progress | None, guess: Any) -> Plan | None:
-    """The plan in its character; None if it exceeds that by far, and there is a harder one.
+def _beyond_too(beyond: Sequence[Iterate], traits: Traits) -> bool:
+    """Whether motions ``beyond`` a softer character, which exceed it as little as possible, exceed a harder one so far
+    that its own motion would do so too."""
+    strains = [_strain(each, replace(each.request, traits=traits)) for each in beyond]
+    return min(strains, default=0.0) > TOO_HARD**2 / (1 + ROOM)
+
+
+def _unless_too_hard(request: Request, progress: Progress | None, guess: Any, beyond: list[Iterate]) -> Plan | None:
+    """The plan in its character; None if it exceeds that by far, and there is a harder one: then the motions
+    that do so are added to those ``beyond`` a character.
 
     Where a vehicle turned round at such a cost, it is tried in reverse; where it flew through a narrow place, the
     way around it.
     """
-    made = _gentle(request, progress, guess)
+    made = _gentle(request, progress, guess, beyond)
     for other in (reversing, roundabout) if made is None and guess is None else ():
         if (path := other(request)) is not None:
-            again = _gentle(request, progress, path)
+            again = _gentle(request, progress, path, beyond)
             if again is not None and again.success:
                 return again
     return made
 
 
-def _gentle(request: Request, progress: Progress | None, guess: Any) -> Plan | None:
-    """The plan in its character from one guess; None if it exceeds the character by far, and there is a harder one."""
+def _gentle(request: Request, progress: Progress | None, guess: Any, beyond: list[Iterate]) -> Plan | None:
+    """The plan in its character from one guess; None if it exceeds the character by far, and there is a harder one:
+    then the motion is added to those ``beyond``."""
     try:
         made = _in_one_character(request, progress, guess, early=True)
-    except _TooHard:
+    except _TooHard as error:
+        beyond.append(error.motion)
         return None
-    return None if _too_hard(made) else made
+    if not _too_hard(made):
+        return made
+    assert made._iterate is not None
+    beyond.append(made._iterate)
+    return None
 
 
 def _in_one_character(request: Request, progress: Progress | None, guess: Any, early: bool = False) -> Plan:
@@ -432,6 +454,9 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     clearance = iterate.block(Clearance)
     if clearance is not None and clearance.squeezes(iterate):
         iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
+    patient = math.isinf(request.deadline) and request.max_iterations > QUICK
+    if early and patient and not iterate.success and request.traits.harder is not None:
+        iterate = _quickly(run, iterate, paths, as_clip(request, guess))
     iterate = iterate if iterate.success else solve(run, iterate)
     relaxed = request
     if not (iterate.success or once or run.deadline.late):
@@ -450,10 +475,22 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         if narrow.success and _strain(narrow, request) < WORTH * strain:
             iterate = narrow
     if early and _is_too_hard(run, iterate):
-        raise _TooHard
+        raise _TooHard(iterate)
     iterate = to_requested_segments(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
+
+
+def _quickly(run: Run, begun: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
+    """The iterate solved if that takes few iterations, else as it was; raises `_TooHard` if it is too hard even near
+    the motion of a stunt, which is found at once where marks leave too little time for the character."""
+    quick = solve(run, begun, QUICK)
+    if not quick.success:
+        stunt = without_character(run, begun, paths, clip)
+        near = nearby(run, stunt, begun.request.traits) if stunt.success else stunt
+        if _is_too_hard(run, near):
+            raise _TooHard(near)
+    return quick
 
 
 def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:

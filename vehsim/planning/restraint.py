@@ -32,13 +32,22 @@ def in_character(run: Run, iterate: Iterate, traits: Traits) -> Iterate:
     """An iterate that was solved without its character, solved with it; if this fails, unchanged with a remark."""
     if not iterate.success or iterate.request.traits is traits or run.deadline.late:
         return iterate
+    solved = solve(run, _with(traits, iterate))
+    remark = f"; not in character: no {traits.name} motion was found"
+    return solved if solved.success else replace(iterate, remark=iterate.remark + remark)
+
+
+def nearby(run: Run, iterate: Iterate, traits: Traits) -> Iterate:
+    """An iterate that was solved without its character, solved within its soft limits in one step; it may fail."""
+    return solve(run, restrained(_with(traits, iterate)))
+
+
+def _with(traits: Traits, iterate: Iterate) -> Iterate:
+    """A solved iterate as the start of a solve in another character."""
     request = replace(iterate.request, traits=traits)
     fresh = blocks_of(request, iterate.transcription, iterate.cover)
     blocks = tuple(new.resume(old) for new, old in zip(fresh, iterate.blocks, strict=True))
-    again = replace(iterate, request=request, blocks=blocks, multipliers=None, prolongated=True)
-    solved = solve(run, again)
-    remark = f"; not in character: no {traits.name} motion was found"
-    return solved if solved.success else replace(iterate, remark=iterate.remark + remark)
+    return replace(iterate, request=request, blocks=blocks, multipliers=None, prolongated=True)
 
 
 def restrain(run: Run, iterate: Iterate) -> Iterate:

@@ -234,8 +234,10 @@ class Solver:
         deadline: float = math.inf,
         start: Start = "guess",
         multipliers: Multipliers | None = None,
+        most: float = math.inf,
     ) -> Solution:
-        """Solve from ``x0`` and optional ``multipliers`` until ``deadline`` s on the clock of `time.monotonic`."""
+        """Solve from ``x0`` and optional ``multipliers`` until ``deadline`` s on the clock of `time.monotonic`, in at
+        ``most`` so many iterations."""
         g_lower, g_upper = self._bounds
         given, magnitude = {}, 1.0
         if multipliers is not None:
@@ -244,7 +246,7 @@ class Solver:
             if self.end == "draft":  # the barrier is chosen for costs of about one
                 start, magnitude = "draft", 10.0 ** round(math.log10(max(multipliers.cost, LEAST)))
         solver = self.prepare(start, magnitude)
-        self._callback.begin(deadline)
+        self._callback.begin(deadline, most)
         with interrupts.silent():
             answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
         stats = solver.stats()
@@ -292,9 +294,10 @@ class _Callback(ca.Callback):
         self.begin(math.inf)
         self.construct("watch", {})
 
-    def begin(self, deadline: float) -> None:
-        """Reset the counter; stop when another iteration as long as the last would end after ``deadline``."""
-        self.count, self.deadline, self.before, self.out_of_time = 0, deadline, time.monotonic(), False
+    def begin(self, deadline: float, most: float = math.inf) -> None:
+        """Reset the counter; stop when another iteration as long as the last would end after ``deadline``, or after
+        ``most`` iterations."""
+        self.most, self.count, self.deadline, self.before, self.out_of_time = most, 0, deadline, time.monotonic(), False
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -322,4 +325,4 @@ class _Callback(ca.Callback):
         now = time.monotonic()
         another, self.before = now - self.before, now
         self.out_of_time = now + another > self.deadline
-        return [int(interrupts.interrupted() or self.out_of_time)]
+        return [int(interrupts.interrupted() or self.out_of_time or self.count > self.most)]
