@@ -61,7 +61,7 @@ def test_the_primvars_of_sliding_cars_are_those_of_the_motion(name, tmp_path):
         assert found[wheel, "slip_angle"] == pytest.approx(np.degrees(np.arctan2(aside, pace)), abs=0.1)
         assert np.all(found[wheel, "contact"] == 1)
     total = sum(found[wheel, "load"] for wheel in WHEELS)
-    assert total == pytest.approx(np.full(len(clip), MASS * G), rel=1e-6 if name == "drift_car" else 0.02)
+    assert total == pytest.approx(np.full(len(clip), MASS * G), rel=1e-6 if name == "drift_car" else 0.03)  # it heaves
     shift = sum((1 if wheel[0] == "f" else -1) * found[wheel, "load"] for wheel in WHEELS)
     if name == "drift_car":  # moments about the middle of the car
         forward = np.gradient(along, clip.times) - turn * across

@@ -2,6 +2,7 @@
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -10,6 +11,8 @@ from vehsim.errors import InputError
 from vehsim.integrators import Integrator
 from vehsim.lie.quaternions import tilt_of
 from vehsim.vehicles import State
+from vehsim.vehicles.models.four_wheel_car import four_wheel_car
+from vehsim.vehicles.models.tyres import LATERAL, LONGITUDINAL, WEIGHTS_LATERAL, WEIGHTS_LONGITUDINAL, Tyre
 
 G = 9.81
 MASS, HEIGHT, HALF, AXLE = 1350, 0.5, 0.77, 1.3
@@ -87,16 +90,20 @@ def test_nothing_but_drive_adds_energy():
     heave, pitch, roll = (column(clip, name) for name in ("heave", "pitch", "roll"))
     at = [vehicle.joints.index(name) for name in ("psi_fl", "psi_fr", "psi_r", "heave", "pitch", "roll")]
     turn, along, across = clip.twists.T
-    surge = along + turn * HEIGHT * roll + HEIGHT * u[:, at[4]]
-    sway = across + turn * HEIGHT * pitch - HEIGHT * u[:, at[5]]
+    height = HEIGHT + heave
+    surge = along + turn * height * roll + height * u[:, at[4]] + pitch * u[:, at[3]]
+    sway = across + turn * height * pitch - height * u[:, at[5]] - roll * u[:, at[3]]
+    upright = 1 - (pitch**2 + roll**2) / 2
+    up = upright * u[:, at[3]] - height * (pitch * u[:, at[4]] + roll * u[:, at[5]])
     engine = 0.5 * (u[:, at[0]] + u[:, at[1]]) / 2 + 0.5 * u[:, at[2]]
-    kinetic = MASS * (surge**2 + sway**2 + u[:, at[3]] ** 2) + 1820 * turn**2 + 1700 * u[:, at[4]] ** 2
+    kinetic = MASS * (surge**2 + sway**2 + up**2) + 1820 * turn**2 + 1700 * u[:, at[4]] ** 2
     kinetic += (
         480 * u[:, at[5]] ** 2 + 1.2 * (u[:, at[0]] ** 2 + u[:, at[1]] ** 2 + 2 * u[:, at[2]] ** 2) + 7.6 * engine**2
     )
     travel = [heave - x * pitch + y * roll for x in (AXLE, -AXLE) for y in (HALF, -HALF)]
-    springs = sum(SPRING * z**2 for z in travel) + sum(BARS) * roll**2 - MASS * G * HEIGHT * (pitch**2 + roll**2)
-    energy = (kinetic + springs) / 2
+    springs = sum(SPRING * z**2 for z in travel) + sum(BARS) * roll**2
+    # the springs carry the weight at rest
+    energy = (kinetic + springs) / 2 + MASS * G * (height * upright - HEIGHT - heave)
     assert np.diff(energy).max() < 1e-4 * energy[0]
     assert energy[-1] < 0.5 * energy[0]
 
@@ -132,6 +139,80 @@ def test_drive_layouts(drive_front):
     spins = [clip.channels[f"slip_{wheel}"][-1] > 0.05 for wheel in ("fl", "rl")]
     assert spins == [drive_front > 0, drive_front < 1]
     assert 3 < clip.twists[-1, 1] / 0.6 < 7
+
+
+# CommonRoad's multi-body model, run by `benchmarks/four_wheel_car.py` with symmetric tyres: yaw rate rad/s and lateral
+# acceleration m/s^2 of the whole car's centre, every quarter of a second
+MULTI_BODY = {
+    "lane change, 30 m/s, 1": (
+        [0.1998, 0.2885, 0.0472, -0.27, -0.2025, -0.0476, -0.0093, -0.0018],
+        [4.149, 6.338, 3.441, -4.157, -4.942, -3.304, -1.043, -0.279],
+    ),
+    "bend, 15 m/s, 0.67": (
+        [0.0097, 0.1888, 0.255, 0.2571, 0.2572, 0.2568, 0.2565, 0.2562],
+        [0.588, 3.196, 3.653, 3.849, 3.838, 3.837, 3.827, 3.818],
+    ),
+}
+SPEED = {"lane change, 30 m/s, 1": 30.0, "bend, 15 m/s, 0.67": 15.0}
+
+
+def turned(name, t):
+    """Rate of the steering angle, rad/s, as in the benchmark."""
+    if name.startswith("lane change"):
+        return 0.16 * np.cos(5 * t) * (t < 0.4 * np.pi)
+    return np.interp(t, [0.2, 0.21, 0.5, 0.51], [0, 0.22 * 0.67, 0.22 * 0.67, 0])
+
+
+@pytest.mark.parametrize("name", MULTI_BODY)
+def test_a_multi_body_model_turns_and_sways_alike(name):
+    """Vehicle 2 (BMW 320i); springs, dampers and bars in series with the tyres', on the mean track."""
+    height = 0.582253
+    car = four_wheel_car(
+        mass=1093.2952334674046, yaw_inertia=1791.5995300122856, roll_inertia=207.26524557936952,
+        pitch_inertia=1565.8178787125541, front=1.1561957064, rear=1.4227170936, half_track=0.68771,
+        mass_height=height, wheel_radius=0.344, wheel_inertia=1.7, engine_inertia=1e-3, springs=(21181.1, 17468.6),
+        dampers=(1240.65, 1264.48), bars=(5326.11, 1785.95), brake_front=0.66, low_speed=0.5, scrub=0.0,
+    )  # fmt: skip
+    times = np.linspace(0, 2, 2 * STEPS + 1)
+    rate = turned(name, times)
+    delta = np.concatenate([[0], np.cumsum(np.diff(times) * (rate[1:] + rate[:-1]) / 2)])
+    controls = np.zeros((len(times), 4))
+    controls[:, 3] = rate / np.cos(delta) ** 2
+    clip = Integrator(car, times[1]).rollout(State(twist=(0, SPEED[name], 0)), controls)
+    at = {joint: k for k, joint in enumerate(car.joints)}
+    heave, pitch, roll = (clip.joints[:, at[joint]] for joint in ("heave", "pitch", "roll"))
+    rising, pitching, rolling = (clip.joint_rates[:, at[joint]] for joint in ("heave", "pitch", "roll"))
+    turn, along, across = clip.twists.T
+    sway = across + turn * (height + heave) * pitch - (height + heave) * rolling - rising * roll
+    surge = along + turn * (height + heave) * roll + (height + heave) * pitching + rising * pitch
+    sideways = np.gradient(sway, times) + turn * surge
+    every = np.arange(1, 9) * STEPS // 4
+    for ours, theirs in zip((turn, sideways), MULTI_BODY[name], strict=True):
+        assert np.abs(ours[every] - theirs).max() < 0.03 * np.abs(theirs).max()
+
+
+@pytest.mark.parametrize("lean", [-0.08, 0.05])
+def test_a_tyre_that_leans_pushes_to_that_side(lean):
+    """Pacejka's eq. 4.E19 to 4.E29 without the constants of a lopsided tyre: shift of slip angle and force."""
+    tyre = Tyre(
+        LONGITUDINAL, LATERAL, WEIGHTS_LONGITUDINAL, WEIGHTS_LATERAL, 1.0, 1.0, camber=(0, 0.0314, 0, -0.329, 0)
+    )
+    shape, peak, curvature, stiffness = LATERAL
+
+    def pure(angle):
+        x = stiffness / (shape * peak) * angle
+        return peak * math.sin(shape * math.atan(x - curvature * (x - math.atan(x))))
+
+    for angle in (-0.05, 0.0, 0.1):
+        along, aside = np.array(ca.DM(tyre.force(0.0, angle, lean))).ravel()
+        assert aside == pytest.approx(-pure(angle + 0.0314 * lean) - 0.329 * lean, rel=2e-3, abs=1e-4)
+        assert along == pytest.approx(0, abs=1e-9)
+    assert np.sign(aside_of(tyre, lean)) == -np.sign(lean)
+
+
+def aside_of(tyre, lean):
+    """Force to the left over load of a wheel that rolls straight and leans to its right."""
+    return float(tyre.force(0.0, 0.0, lean)[1])
 
 
 def test_it_rests_without_controls():

@@ -1,8 +1,9 @@
 """A car on four tyres and springs: wheel spin, combined slip, load transfer, roll, dive and squat, differentials.
 
-The body is a rigid mass on four springs and dampers; it rolls and pitches about axes on the ground below its centre of
-mass, by small angles. Its springs carry the weight, so the load of a tyre follows from the body's motion alone. Loads
-shift because the mass is above the ground: the coupling is in the Lagrangian. Tyres as in `tyres`.
+The body is a rigid mass on four springs and dampers; it rolls and pitches by small angles about axes on the ground
+below its centre of mass, and heaves along its own axis. Loads shift because the mass is above the ground: the coupling
+is in the Lagrangian. The links that hold a tilted body also lift it, so tyres carry more than their springs push.
+Tyres as in `tyres`.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ from vehsim.vehicles.models.tyres import (
     LATERAL,
     LONGITUDINAL,
     SPIN,
+    UPRIGHT,
     WEIGHTS_LATERAL,
     WEIGHTS_LONGITUDINAL,
+    Five,
     Four,
     Share,
     Tyre,
@@ -44,9 +47,15 @@ LARGEST_STEP = 1 / 2400
 Stiffness = Annotated[Sequence[Annotated[float, Unit("N/m"), Gt(0)]], Len(2, 2)]
 Damping = Annotated[Sequence[Annotated[float, Unit("N s/m"), Ge(0)]], Len(2, 2)]
 Torsion = Annotated[Sequence[Annotated[float, Unit("N m/rad"), Ge(0)]], Len(2, 2)]
+CamberGain = Annotated[Sequence[Annotated[float, Unit("rad/m")]], Len(2, 2)]
 Locked = Annotated[Sequence[Share], Len(2, 2)]
 SIDES = {"l": 1.0, "r": -1.0}
 BODY = ("heave", "pitch", "roll")
+
+
+def positive(force: Expr) -> Expr:
+    """The part of a force that pushes on the ground, rounded where a wheel lifts."""
+    return (force + ca.sqrt(force**2 + LIFTED**2)) / 2
 
 
 def four_wheel_car(
@@ -76,6 +85,9 @@ def four_wheel_car(
     tyre_lateral: Four = LATERAL,
     tyre_weights_longitudinal: Four = WEIGHTS_LONGITUDINAL,
     tyre_weights_lateral: Four = WEIGHTS_LATERAL,
+    camber_gains: CamberGain = (0.0, 0.0),
+    tyre_camber: Five = UPRIGHT,
+    scrub: Share = 1.0,
 ) -> Nonholonomic:
     """A car whose body frame stands below its centre of mass, on the ground, and does not tilt.
 
@@ -85,7 +97,10 @@ def four_wheel_car(
     N s/m of each wheel, anti-roll ``bars`` N m/rad, and whether its differential is ``locked`` (1) or open (0).
     ``drive_front``, ``brake_front``: the front axle's share of ``drive`` and ``brake`` (drive 0: rear-wheel, 0.5:
     all-wheel with an open centre differential); ``surface``: a name of `SURFACES`; ``friction``: factor of its
-    friction; ``low_speed`` and the tyres' coefficients: see `Tyre`.
+    friction; ``low_speed`` and the tyres' coefficients: see `Tyre`. Wheels lean with the body, and push sideways if
+    ``tyre_camber`` is given; ``camber_gains`` of the (front, rear) axle: how far the tops of its wheels lean in per
+    metre that the body rises above them, rad/m. ``scrub``: how much of the speed at which contacts move sideways below
+    a rolling body the tyres feel: 1, or 0 as in CommonRoad's models.
     Joints: ``psi_*``, roll of each wheel, or of both wheels of a locked axle, rad; ``sigma``, tangent of the steering
     angle; ``heave`` m, ``pitch`` (nose down) and ``roll`` (left side up) rad of the body on its springs. Controls:
     ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m], ``steering_rate``,
@@ -93,7 +108,8 @@ def four_wheel_car(
     the ground [m/s], ``slip_ratio_*``, ``slip_angle_*`` [rad] and ``load_*`` [N] of each wheel.
     """
     tyre = Tyre(
-        tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed
+        tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed,
+        camber=tyre_camber,
     ).on(surface)  # fmt: skip
     wheelbase = front + rear
     tyre.check(mass_height, min(front, rear, half_track), "tip over a car whose wheels are", name)
@@ -114,47 +130,68 @@ def four_wheel_car(
     def lagrangian(r: Expr, u: Expr, xi: Expr) -> Expr:
         heave, pitch, roll = (r[at[joint]] for joint in BODY)
         rising, pitching, rolling_over = (u[at[joint]] for joint in BODY)
-        x, y = mass_height * pitch, -mass_height * roll  # of the centre of mass
-        along = xi[1] - xi[0] * y + mass_height * pitching
-        across = xi[2] + xi[0] * x - mass_height * rolling_over
+        length, upright = mass_height + heave, 1 - (pitch**2 + roll**2) / 2
+        x, y = length * pitch, -length * roll  # of the centre of mass
+        along = xi[1] - xi[0] * y + length * pitching + pitch * rising
+        across = xi[2] + xi[0] * x - length * rolling_over - roll * rising
+        up = upright * rising - length * (pitch * pitching + roll * rolling_over)
         engine = sum(share[wheel[0]] * u[at[shaft]] / 2 for wheel, shaft in shafts.items())
         spin = wheel_inertia * sum(u[at[shaft]] ** 2 for shaft in shafts.values()) + engine_inertia * engine**2
         tilt = yaw_inertia * xi[0] ** 2 + pitch_inertia * pitching**2 + roll_inertia * rolling_over**2
-        kinetic = (spin + tilt + mass * (along**2 + across**2 + rising**2)) / 2
-        return kinetic - mass * GRAVITY * (heave - mass_height * (pitch**2 + roll**2) / 2)
+        kinetic = (spin + tilt + mass * (along**2 + across**2 + up**2)) / 2
+        return kinetic - mass * GRAVITY * length * upright
 
     def heading(wheel: str, r: Expr) -> tuple[Expr, Expr]:
         """Cosine and sine of a wheel's steering angle."""
         return (1.0, 0.0) if wheel[0] == "r" else steered(r[at["sigma"]], places[wheel][1] / wheelbase)
 
-    def hub(wheel: str, r: Expr, xi: Expr) -> Expr:
+    def hub(wheel: str, r: Expr, xi: Expr, rolling_over: Expr = 0.0) -> Expr:
         """Velocity of a hub (2,), in the wheel's axes."""
         (cosine, sine), (x, y) = heading(wheel, r), places[wheel]
-        along, across = xi[1] - y * xi[0], xi[2] + x * xi[0]
+        along, across = xi[1] - y * xi[0], xi[2] + x * xi[0] - (1 - scrub) * mass_height * rolling_over
         return ca.vertcat(cosine * along + sine * across, cosine * across - sine * along)
 
-    def load(wheel: str, r: Expr, u: Expr) -> Expr:
-        """Load of a tyre, N: its spring and damper, which only push."""
-        (x, y), axle, (heave, pitch, roll) = places[wheel], "fr".index(wheel[0]), (at[joint] for joint in BODY)
-        height, rate = (q[heave] - x * q[pitch] + y * q[roll] for q in (r, u))
+    def rise(wheel: str, q: Expr) -> Expr:
+        """How far, or fast, the body rises above a wheel."""
+        (x, y), (heave, pitch, roll) = places[wheel], (q[at[joint]] for joint in BODY)
+        return heave - x * pitch + y * roll
+
+    def push(wheel: str, r: Expr, u: Expr) -> Expr:
+        """Force of a spring, damper and bar, N; what is below zero would lift the wheel."""
+        axle, y = "fr".index(wheel[0]), places[wheel][1]
         at_rest = statics[wheel[0]] - LIFTED**2 / (4 * statics[wheel[0]])
-        force = at_rest - springs[axle] * height - dampers[axle] * rate - bars[axle] * r[roll] / (2 * y)
-        return (force + ca.sqrt(force**2 + LIFTED**2)) / 2
+        force = at_rest - springs[axle] * rise(wheel, r) - dampers[axle] * rise(wheel, u)
+        return force - bars[axle] * r[at["roll"]] / (2 * y)
+
+    def slips(wheel: str, r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr]:
+        return tyre.slip(hub(wheel, r, xi, u[at["roll"]]), wheel_radius * u[at[shafts[wheel]]])
+
+    def contacts(axle: str, r: Expr, u: Expr, xi: Expr) -> dict[str, tuple[Expr, Expr, Expr]]:
+        """Of each wheel of an axle: the load, N, the part of it that the body's links push down, and the force over
+        load (3,): along the wheel, along and across the car."""
+        shares, k = {}, "fr".index(axle)
+        for wheel in (w for w in places if w[0] == axle):
+            lean = r[at["roll"]] + SIDES[wheel[1]] * camber_gains[k] * rise(wheel, r)
+            force, (cosine, sine) = tyre.force(*slips(wheel, r, u, xi), lean), heading(wheel, r)
+            along, across = cosine * force[0] - sine * force[1], sine * force[0] + cosine * force[1]
+            shares[wheel] = ca.vertcat(force[0], along, across)
+        # links push at right angles to a tilted body; what they push down is carried by both wheels alike
+        down = {wheel: r[at["roll"]] * n[2] - r[at["pitch"]] * n[1] for wheel, n in shares.items()}
+        links = sum(d * positive(push(w, r, u)) for w, d in down.items()) / (2 - sum(down.values()))
+        return {wheel: (positive(push(wheel, r, u) + links), links, n) for wheel, n in shares.items()}
 
     def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> tuple[Expr, Expr]:
         on_joints, on_body = ca.SX.zeros(len(joints)), ca.SX.zeros(3)
-        for wheel, (x, y) in places.items():
-            carried, rim = load(wheel, r, u), wheel_radius * u[at[shafts[wheel]]]
-            force = carried * tyre.force(*tyre.slip(hub(wheel, r, xi), rim))
-            (cosine, sine), handbrake = heading(wheel, r), c[2] * (wheel[0] == "r")
-            along, across = cosine * force[0] - sine * force[1], sine * force[0] + cosine * force[1]
-            on_body += ca.vertcat(x * across - y * along, along, across)
+        for wheel, (load, links, shares) in (contacts("f", r, u, xi) | contacts("r", r, u, xi)).items():
+            (x, y), rim = places[wheel], wheel_radius * u[at[shafts[wheel]]]
+            force, handbrake = load * shares, c[2] * (wheel[0] == "r")
+            on_body += ca.vertcat(x * force[2] - y * force[1], force[1:])
             braking = {"f": brake_front, "r": 1 - brake_front}[wheel[0]] * c[1] + handbrake
             on_joints[at[shafts[wheel]]] += (
                 share[wheel[0]] * c[0] / 2 + brake(braking / 2, rim) - wheel_radius * force[0]
             )
             for joint, arm in zip(BODY, (1.0, -x, y), strict=True):
-                on_joints[at[joint]] += arm * carried
+                on_joints[at[joint]] += arm * (load - links)
         return on_joints, on_body
 
     def rolling(r: Expr, xi: Expr) -> Expr:
@@ -168,16 +205,16 @@ def four_wheel_car(
         return Channel(value=lambda t, r, u, xi, c: r[at[shafts[wheel]]])
 
     def slip_channel(wheel: str) -> Channel:
-        return Channel(value=lambda t, r, u, xi, c: sliding(hub(wheel, r, xi), wheel_radius * u[at[shafts[wheel]]]))
-
-    def slips_channel(wheel: str, component: int) -> Channel:
         def value(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
-            return tyre.slip(hub(wheel, r, xi), wheel_radius * u[at[shafts[wheel]]])[component]
+            return sliding(hub(wheel, r, xi, u[at["roll"]]), wheel_radius * u[at[shafts[wheel]]])
 
         return Channel(value=value)
 
+    def slips_channel(wheel: str, component: int) -> Channel:
+        return Channel(value=lambda t, r, u, xi, c: slips(wheel, r, u, xi)[component])
+
     def load_channel(wheel: str) -> Channel:
-        return Channel(value=lambda t, r, u, xi, c: load(wheel, r, u))
+        return Channel(value=lambda t, r, u, xi, c: contacts(wheel[0], r, u, xi)[wheel][0])
 
     return Nonholonomic(
         name=name,

@@ -25,11 +25,14 @@ from vehsim.vehicles.definition.surfaces import SURFACES, SurfaceName
 
 Share = Annotated[float, Unit(""), Interval(ge=0, le=1)]
 Four = Annotated[tuple[float, float, float, float], Len(4, 4), Unit("")]
+Five = Annotated[tuple[float, float, float, float, float], Len(5, 5), Unit("")]
 LONGITUDINAL: Four = (1.6411, 1.1739, 0.46403, 22.303)
 LATERAL: Four = (1.3507, 1.0489, -0.0074722, 21.92)
 WEIGHTS_LONGITUDINAL: Four = (13.276, 13.778, 1.2568, 0.65225)
 WEIGHTS_LATERAL: Four = (7.1433, 9.1916, 1.0719, -0.27572)
 """The tyre of CommonRoad (2020), table 7, from the ADAMS handbook; see `Tyre`."""
+UPRIGHT: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""A tyre that does not feel camber."""
 CONTROLS = (
     Control("drive", unit="N m"),
     Control("brake", lower=0.0, unit="N m"),
@@ -42,6 +45,8 @@ BRAKING = 1.0
 N m brakes wheels to 0.3 m/s."""
 SPIN = 1e-3
 """Weight of the cost of spin in plans: on their long steps, a wheel's fast decay would alternate from knot to knot."""
+LEANING = 1e-3
+"""Camber, rad, over which the force of a tyre that only knows to which side it leans changes its sign."""
 ROUND = 0.05
 """Width over which a weight's positive part is rounded: it changes a weight of one by 0.0006."""
 
@@ -52,7 +57,9 @@ class Tyre:
 
     ``longitudinal``, ``lateral``: shape C, peak friction D, curvature E and slip stiffness K. ``weights_longitudinal``,
     ``weights_lateral``: B1, B2, C and E of combined slip. ``friction``: factor of the peak friction on this surface.
-    ``low_speed``: v_0, m/s. ``stiffness``: factor of the slip stiffness on this surface.
+    ``low_speed``: v_0, m/s. ``stiffness``: factor of the slip stiffness on this surface. ``camber``: H, H', V, V' and D
+    of a wheel that leans to its right by g rad (eq. 4.E20 to 4.E29): its slip angle counts H sign(g) + H' g more, it
+    pushes left with V sign(g) + V' g of its load, and the peak friction changes by the factor 1 - D g^2.
     """
 
     longitudinal: Sequence[float]
@@ -62,6 +69,7 @@ class Tyre:
     friction: float
     low_speed: float
     stiffness: float = 1.0
+    camber: Sequence[float] = UPRIGHT
 
     def on(self, surface: SurfaceName) -> Tyre:
         """The same tyre on another surface than dry asphalt."""
@@ -74,10 +82,14 @@ class Tyre:
         pace = ca.sqrt(velocity[0] ** 2 + self.low_speed**2)
         return (rim - velocity[0]) / pace, ca.atan(velocity[1] / pace)
 
-    def force(self, slip: Expr, angle: Expr) -> Expr:
-        """Force over load (2,), forward and left in the wheel's axes."""
+    def force(self, slip: Expr, angle: Expr, lean: Expr = 0.0) -> Expr:
+        """Force over load (2,), forward and left in the wheel's axes; ``lean``: to its right, rad."""
+        shift_side, shift, push_side, push, peak = self.camber
+        side = lean / ca.sqrt(lean**2 + LEANING**2)
+        turned, thrust = angle + shift_side * side + shift * lean, push_side * side + push * lean
         along = self._pure(slip, self.longitudinal) * _weight(angle, slip, self.weights_longitudinal)
-        aside = self._pure(angle, self.lateral) * _weight(slip, angle, self.weights_lateral)
+        pure = self._pure(turned, self.lateral, 1 - peak * lean**2) - thrust
+        aside = pure * _weight(slip, angle, self.weights_lateral)
         return ca.vertcat(along, -aside)
 
     @property
@@ -92,9 +104,9 @@ class Tyre:
             message = f"the grip of {self.peak:.3g} would {fate} {nearest:g} m from the centre of mass"
             raise InputError(message, "lower it", key="physics.mass_height", value=mass_height, subject=name)
 
-    def _pure(self, slip: Expr, coefficients: Sequence[float]) -> Expr:
+    def _pure(self, slip: Expr, coefficients: Sequence[float], grip: Expr = 1.0) -> Expr:
         shape, peak, curvature, stiffness = coefficients
-        most, slope = self.friction * peak, self.stiffness * stiffness
+        most, slope = self.friction * peak * grip, self.stiffness * stiffness
         return most * ca.sin(shape * _bent(slope / (shape * most) * slip, curvature))
 
 
