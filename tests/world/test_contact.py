@@ -19,6 +19,7 @@ from vehsim.world.contact.contact import Contact, ContactScene, damping_ratio
 from vehsim.world.obstacles.obstacles import box, moving
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.water import Water, wave
 from vehsim.world.world import World
 
 FLOOR = box("floor", (0, 0, -1), (400, 400, 1))
@@ -219,6 +220,56 @@ def test_a_resting_boat_costs_nothing_on_still_water(monkeypatch):
     wrench = afloat.wrench(0.0, clip.state(-1), np.zeros(2))
     weight = boat.inertia[5, 5] * 9.81 - from_body(clip.orientations[-1], wrench[3:])[2]
     assert (impulses[1] - impulses[0]) / 5.0 == pytest.approx(weight, rel=0.02)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_contacts_balance_what_friction_and_weight_allow(block, friction):
+    """A block on a floor, whose length is 2.5 times its height: pushed from any side, lifted, and tipped."""
+    world = World(obstacles=[FLOOR], contact=Contact(friction, 0.1, 2.0))
+    clip = vehsim.simulate(block(), world, None, State(position=(0, 0, 0.2)), duration=1.0)
+    scene = ContactScene({"block": block()}, world, world.contact)
+    scene.wrenches(0.0, [clip.state(-1)])
+    weight = 100.0 * 9.81
+    for angle in np.linspace(0, 2 * np.pi, 7):
+        push = friction * weight * np.array([0, 0, 0, np.cos(angle), np.sin(angle), 0])
+        assert scene.holds([0.87 * push])
+        assert friction == 0 or not scene.holds([0.96 * push])
+    assert friction > 0 or not scene.holds([np.array([0, 0, 0, 1.0, 0, 0])])
+    for change in ([0, 0, 0, 0, 0, 1.0], [0, SIZE[0] / 2, 0, 0, 0, 0], [-SIZE[1] / 2, 0, 0, 0, 0, 0]):
+        assert scene.holds([0.99 * weight * np.array(change)]) and not scene.holds([1.01 * weight * np.array(change)])
+
+
+def test_one_of_two_stacked_blocks_cannot_be_pushed_away(block):
+    """What acts on the upper one passes to the floor through the lower one."""
+    world = World(obstacles=[FLOOR], contact=Contact(0.4, 0.1, 2.0))
+    scene = ContactScene({"low": block(), "high": block()}, world, world.contact)
+    sunk = 9.81 / world.contact.frequency**2  # as deep as their weights press the springs
+    places = (0, 0, 0.2 - 2 * sunk), (0, 0, 0.6 - 4 * sunk)
+    scene.wrenches(0.0, [State(position=place, twist=np.zeros(6)) for place in places])
+    weight, push = 100.0 * 9.81, np.array([0, 0, 0, 1.0, 0, 0])
+    high, low = scene.holds([np.zeros(6), 0.3 * weight * push]), scene.holds([0.6 * weight * push, np.zeros(6)])
+    assert high and low
+    assert not scene.holds([np.zeros(6), 0.5 * weight * push]) and not scene.holds([weight * push, np.zeros(6)])
+
+
+@pytest.mark.parametrize(("height", "still"), [(0.08, True), (0.8, False)])
+def test_a_boat_on_a_beach_rests_in_small_waves(height, still, monkeypatch):
+    """Their pressure changes all the time, but its keel holds it; large waves lift it."""
+    x = np.arange(-60.0, 61.0, 2.0)
+    beach = Terrain("beach", np.tile(0.1 * (x - 10), (len(x), 1)), (-60, -60), (2, 2))
+    water = Water(surface=wave(height, 4.0 if still else 12.0))
+    boat, world = vehsim.load_vehicle("boat"), World(beach, water=water, contact=Contact(0.4, 0.1, 1.5))
+    start = State(position=(6.5104, 0, 0.1536), orientation=(1, 0, 9.13e-4, 0))
+    evaluations, touching = [0], ContactScene._touching
+
+    def counted(*given):
+        evaluations[0] += 1
+        return touching(*given)
+
+    monkeypatch.setattr(ContactScene, "_touching", counted)
+    clip = vehsim.simulate(boat, world, (0.0, 0.0), start, duration=1.0, step=1 / 48)
+    assert clip.twists[clip.times > 0.5].any() != still
+    assert (evaluations[0] < 1000) == still
 
 
 def test_a_body_that_rocks_is_as_slow_as_its_points():

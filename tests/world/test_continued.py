@@ -106,6 +106,20 @@ def test_a_boat_that_slides_up_a_beach() -> None:
     assert clip.events[0]["time"] < 0.4 and clip.twists[-1, 3] > 0.3
 
 
+@pytest.mark.parametrize("first", [0.2, 0.5], ids=["settling", "resting"])
+def test_a_boat_that_rests_on_a_beach_in_waves(first: float) -> None:
+    """Whether its contacts hold it follows from those of its last evaluation."""
+    x = np.arange(-60.0, 61.0, 2.0)
+    beach = Terrain("beach", np.tile(0.1 * (x - 10), (len(x), 1)), (-60, -60), (2, 2))
+    water = Water(surface=Waves(np.array([0.04]), np.array([[1.57, 0.0]]), np.zeros(1)))
+    boat, world = vehsim.load_vehicle("boat"), World(beach, water=water, contact=Contact(0.4, 0.1, 1.5))
+    start = State(position=(6.5104, 0, 0.1536), orientation=(1, 0, 9.13e-4, 0))
+    clip = is_the_same(
+        lambda t, after: simulate(boat, world, [0.0, 0.0], start, duration=t, step=1 / 48, after=after), first, 0.7
+    )
+    assert not clip.twists[clip.times > 0.4].any()
+
+
 def test_boats_that_meet_in_waves_at_a_wall() -> None:
     boat = vehsim.load_vehicle("boat")
     world = World(

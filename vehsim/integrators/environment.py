@@ -43,6 +43,10 @@ class Environment:
         acceleration by all forces together, including contacts."""
         return None
 
+    def holds(self, change: Array) -> bool:
+        """Whether a further wrench (d,) leaves the vehicle at rest, if it was `settled`."""
+        return False
+
     def events(self) -> list[dict[str, Any]]:
         """Events so far, for clip and report: ``{"time": s, "kind": ..., ...}``, in order."""
         return []
@@ -140,6 +144,9 @@ class Combined(Environment):
     @property
     def settled(self) -> bool:  # type: ignore[override]  # the same
         return any(part.settled for part in self.parts)
+
+    def holds(self, change: Array) -> bool:
+        return any(part.holds(change) for part in self.parts)
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return np.sum([part.wrench(t, state, controls) for part in self.parts], axis=0)

@@ -44,6 +44,9 @@ class Meeting(Protocol):
     next_step: float
     settled: bool
 
+    def holds(self, changes: Sequence[Array]) -> bool:
+        """Whether further wrenches (d,) leave all of them at rest, if they were settled."""
+
     def wrenches(self, t: float, states: Sequence[State]) -> Sequence[Array]:
         """Wrench (d,) on each, in body axes about its body frame's origin, at public states at ``t`` s."""
 
@@ -289,7 +292,9 @@ def pushed(
     controls (c,). ``memory``: that of a shorter clip from the same start, which is continued."""
     recording = Recording(integrator, environment, law, begin, cuts)
     body = recording.body
-    rest = Rest([body], lambda: environment.settled, lambda: [body.query()])
+    rest = Rest(
+        [body], lambda: environment.settled, lambda changes: environment.holds(*changes), lambda: [body.query()]
+    )
     if memory is not None:
         recording.recall(memory["recording"])
         carry_on(rest, memory["rest"])
@@ -328,7 +333,7 @@ def pushed_together(
 
     for body, forces in zip(bodies, query(), strict=True):
         body.start_with(*forces)
-    rest = Rest(bodies, lambda: meeting.settled, query)
+    rest = Rest(bodies, lambda: meeting.settled, meeting.holds, query)
     if memory is not None:
         for recording, own in zip(recordings, memory["recordings"], strict=True):
             recording.recall(own)

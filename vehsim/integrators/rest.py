@@ -12,7 +12,7 @@ from vehsim.vehicles.definition.base import Array
 CALM = 0.25
 """Time for which contact holds bodies still before they rest, s."""
 CHANGE = 1e-3
-"""Change of a wrench that wakes them, as a share of it."""
+"""Change of a wrench, as a share of it, that does not wake them without further thought."""
 
 
 class RestingBody(Protocol):
@@ -31,7 +31,8 @@ class RestingBody(Protocol):
 class Rest:
     """The rest of ``bodies``, which act on each other.
 
-    ``settled()``: whether contact holds all of them; ``query()``: the wrench and added mass on each, at their states.
+    ``settled()``: whether contact holds all of them; ``holds(changes)``: whether it still does if the wrench on each
+    changes; ``query()``: the wrench and added mass on each, at their states.
     """
 
     CARRIED = ("_calm", "_held", "_balance")
@@ -40,16 +41,17 @@ class Rest:
         self,
         bodies: Sequence[RestingBody],
         settled: Callable[[], bool],
+        holds: Callable[[Sequence[Array]], bool],
         query: Callable[[], list[tuple[Array, Array | None]]],
     ) -> None:
-        self._bodies, self._settled, self._query = bodies, settled, query
+        self._bodies, self._settled, self._holds, self._query = bodies, settled, holds, query
         self._calm, self._held = 0.0, False
         self._balance: list[tuple[Array, Array | None]] = []
 
     def keeps(self, controls: Sequence[tuple[Array, Array]], seconds: float) -> bool:
         """Whether the bodies rest for ``seconds``, whose ``controls`` start and end as given; their time then passes.
 
-        New controls, a touch, or another wrench wake them.
+        New controls, a touch, or a wrench that contact does not balance wake them.
         """
         same = all(
             np.array_equal(start, end) and np.array_equal(start, body.controls)
@@ -69,10 +71,12 @@ class Rest:
         for body in self._bodies:
             body.wait(seconds)
         now = self._query()
-        if not self._settled() or any(
-            np.linalg.norm(new - old) > CHANGE * np.linalg.norm(old)
-            for (new, _), (old, _) in zip(now, self._balance, strict=True)
-        ):
+        changes = [new - old for (new, _), (old, _) in zip(now, self._balance, strict=True)]
+        slight = all(
+            np.linalg.norm(change) <= CHANGE * np.linalg.norm(old)
+            for change, (old, _) in zip(changes, self._balance, strict=True)
+        )
+        if not (self._settled() and (slight or self._holds(changes))):
             self._calm, self._held = 0.0, False
             for body, (wrench, added) in zip(self._bodies, now, strict=True):
                 body.start_with(wrench, added)

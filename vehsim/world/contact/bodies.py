@@ -67,6 +67,10 @@ class MovingBody:
         torque = cross(places - self.centre, forces)
         return np.concatenate([torque.sum(axis=0) @ self.R_wr, forces.sum(axis=0) @ self.R_wr])
 
+    def wrenches(self, places: Array, forces: Array) -> Array:
+        """The same (n, 6) of each force."""
+        return np.concatenate([cross(places - self.centre, forces) @ self.R_wr, forces @ self.R_wr], axis=1)
+
     def yielding(self, place: Array, normal: Array) -> float:
         """The inverse of the effective mass for a push along ``normal``, 1/kg."""
         unit = self.wrench(place[None], normal[None])

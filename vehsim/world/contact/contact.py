@@ -29,6 +29,7 @@ from vehsim.world.contact.bodies import Body, Led, MovingBody, MovingObstacle
 from vehsim.world.contact.grip import Grip
 from vehsim.world.contact.grounding import TOUCH, Points, Underside
 from vehsim.world.contact.rock import Rock
+from vehsim.world.contact.statics import Held, balanced
 
 Array = NDArray[np.float64]
 Forces = dict[tuple[int, str], tuple[Array, Array, Array]]
@@ -154,7 +155,7 @@ class ContactScene:
     ``start_time``: the time at which ``t`` is 0, in s since frame 0, for moving obstacles.
     """
 
-    CARRIED = ("_events", "_grips", "_time", "_begun", "_soon", "_nearing", "_last", "next_step", "settled")
+    CARRIED = ("_events", "_grips", "_time", "_begun", "_soon", "_nearing", "_last", "_held", "next_step", "settled")
 
     def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact, start_time: float = 0.0) -> None:
         import mujoco
@@ -189,6 +190,8 @@ class ContactScene:
         self._nearing = 0.0
         self._last: tuple[list[State], list[Array], Forces] | None = None
         """The states, wrenches and forces of the last evaluation."""
+        self._held: list[Held] = []
+        """Its touching pairs."""
 
     def _add_vehicle(self, spec: Any, name: str, vehicle: Any, add: Any) -> str:
         if vehicle.rig is None or vehicle.group.dim != 6 or not hasattr(vehicle, "inertia"):
@@ -248,7 +251,7 @@ class ContactScene:
         total = [np.zeros(6) for _ in moving]
         forces: Forces = {}
         brisk = self._nearing
-        grips, self._grips = self._grips, {}
+        grips, self._grips, self._held = self._grips, {}, []
         for (a, b, name), points in pairs.items():
             one, other = moving[a], None if b is None else moving[b]
             grip = self._grips[a, b, name] = grips.get((a, b, name)) or Grip(one, other)
@@ -256,9 +259,11 @@ class ContactScene:
             brisk = max(brisk, kick, float(closing.max()))
             total[a] += moving[a].wrench(points.places, push)
             forces[(a, name)] = points.places, push, closing
-            if b is not None and b < len(self.bodies):
-                total[b] += moving[b].wrench(points.places, -push)
-                forces[(b, _plain(self.bodies[a].name))] = points.places, -push, closing
+            yielding = b if b is not None and b < len(self.bodies) else None
+            self._held.append((a, yielding, points.places, points.normals, push))
+            if yielding is not None:
+                total[yielding] += moving[yielding].wrench(points.places, -push)
+                forces[(yielding, _plain(self.bodies[a].name))] = points.places, -push, closing
         impact = RESOLVED / (1 + self.contact.damping) / self.contact.frequency
         self.next_step = max(impact if brisk > GENTLE else self.contact.step, AHEAD * self._soon)
         touching = {owner for a, b, _ in pairs for owner in (a, b)}
@@ -272,6 +277,12 @@ class ContactScene:
         self._note(t, forces)
         self._last = list(states), total[: len(self.bodies)], forces
         return self._last[1]
+
+    def holds(self, changes: Sequence[Array]) -> bool:
+        """Whether further wrenches (6,) on the vehicles leave them at rest, if they were settled."""
+        assert self._last is not None
+        bodies = [MovingBody(body, state) for body, state in zip(self.bodies, self._last[0], strict=True)]
+        return balanced(bodies, self._held, changes, self.contact.friction)
 
     def _refuse_buried(self, pairs: dict[tuple[int, int | None, str], Points]) -> None:
         for (a, _, name), points in pairs.items():
@@ -392,6 +403,9 @@ class Touching(Environment):
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return self._scene.wrenches(t, [state])[0]
+
+    def holds(self, change: Array) -> bool:
+        return self._scene.holds([change])
 
     def events(self) -> list[dict[str, Any]]:
         return self._scene.events()
