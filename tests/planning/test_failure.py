@@ -147,6 +147,26 @@ def test_a_mark_missed_near_an_obstacle_comes_with_a_possible_clearance():
     assert made.success and made.clearance >= failed.possible_clearance - 1e-3
 
 
+def test_the_earliest_frame_of_a_slide_is_one_that_its_controls_repeat():
+    """On snow, a coarse motion is found earlier than one from which its controls do not lead astray."""
+    car = vehsim.load_vehicle("drift_car", parameters={"surface": "snow"})
+    parked = [box(name, (x, 0, 0), (4.3, 1.8, 1.2)) for name, x in (("behind", -5.5), ("ahead", 5.5))]
+    world = vehsim.World(obstacles=parked)
+
+    def planned(frame):
+        marks = [
+            Mark(1001, position=(-2, 24, 0), heading=-90, velocity=REST, joints={"sigma": 0.0}),
+            Mark(frame, position=(0, 0, 0), heading=0, velocity=REST),
+        ]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return vehsim.plan(car, world, marks, clearance=0.2, segments=48, character="stunt")
+
+    failed = planned(1097)
+    assert "is too early; earliest" in failed.message
+    assert planned(failed.possible["mark[1]"]).success
+
+
 def test_feasible_marks_are_not_refused():
     """Slightly inside every bound, and free marks, which have no frame that could be too early."""
     assert not messages_of([Mark(1, position=REST), Mark(30, position=(26, 0, 0))], limits={"speed": 22})

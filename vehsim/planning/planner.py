@@ -20,7 +20,7 @@ from vehsim.audit import Row, WorldScene, audit, missed, track_of_clip
 from vehsim.clip.clip import Clip
 from vehsim.errors import FailedPlan, SolveError
 from vehsim.planning.blocks import blocks_of
-from vehsim.planning.certificates import Executed, extent
+from vehsim.planning.certificates import Executed
 from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.constraints.clearance import SLACK, Clearance, SphereCover, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
@@ -37,7 +37,7 @@ from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.refine import ends_elsewhere, execution_tolerance, settle_on_frames, to_requested_segments
+from vehsim.planning.refine import ends_elsewhere, largest_error, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.legs import facing, same_headings
@@ -61,12 +61,6 @@ FINER, MOST = 4, 256
 """Factor by which the number of segments grows if the controls lead elsewhere, and the largest number."""
 TELLING = 32
 """With fewer segments, even a known reason may be due to their number: controls cannot change within them."""
-SHARE = 0.1
-"""How far from the plan its executed controls may end in addition to `execution_tolerance`, as a share of its length.
-
-If they end farther away, the plan is not a motion of this vehicle, or so unstable that its controls do not reproduce
-it.
-"""
 MORE = 1.1
 """Factor on the time of a slide at the limit of grip after which its controls repeat it: on snow, 1.06 is enough."""
 FASTER = 0.005
@@ -561,7 +555,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         message = f"{'; '.join(certificate.messages)}, {times}; loosen it, or use more segments"
     message += iterate.remark + iterate.note
     if success and ends_elsewhere(iterate):
-        off, allowed = iterate.executed.final, execution_tolerance(request) + SHARE * extent(request.vehicle)
+        off, allowed = iterate.executed.final, largest_error(request)
         message += f"; when executed, the controls end {off:.3g} m from the planned end"
         if off > allowed:
             success, reason = False, "execution"

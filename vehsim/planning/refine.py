@@ -20,6 +20,13 @@ from vehsim.planning.trajectory import Trajectory
 EXECUTED, OF_SIZE, OF_CLEARANCE = 0.1, 0.025, 0.5
 """Largest accepted distance between the end of the plan and the end of its executed controls: m, and fractions of the
 vehicle's greatest length and of the clearance; the least of them applies. Above it the plan is refined."""
+SHARE = 0.1
+"""How far from the plan its executed controls may end in addition to `execution_tolerance`, as a share of the vehicle's
+length.
+
+If they end farther away, the plan is not a motion of this vehicle, or so unstable that its controls do not reproduce
+it.
+"""
 ORDER = 4
 """The order of refined plans."""
 LADDER = (1, 2, 4, 8)
@@ -31,6 +38,11 @@ def execution_tolerance(request: Request) -> float:
     size = extent(request.vehicle)
     near = request.clearance if request.world is not None and (request.world.obstacles or request.hazards) else 0.0
     return min(EXECUTED, OF_SIZE * size or EXECUTED, OF_CLEARANCE * near or EXECUTED)
+
+
+def largest_error(request: Request) -> float:
+    """The distance between a plan's end and where its controls lead, m, above which the plan fails."""
+    return execution_tolerance(request) + SHARE * extent(request.vehicle)
 
 
 def settle_on_frames(run: Run, iterate: Iterate) -> Iterate:

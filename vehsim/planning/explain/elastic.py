@@ -21,6 +21,7 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.solver import LOOSEN, Solution, Solver
 from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.refine import largest_error, refine, to_requested_segments
 from vehsim.planning.request.character import NO_TRAITS
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import Trajectory
@@ -164,7 +165,11 @@ def _is_met(run: Run, guess: Iterate, frames: dict[int, int]) -> bool:
     other = Run(request)
     iterate = begin(other, request, guess.transcription, guess.cover, guess.paths)
     other.deadline.end = run.deadline.end
-    return solve(other, iterate).success
+    solved = solve(other, iterate)
+    if solved.success and math.isfinite(request.vehicle.largest_step):  # controls may not repeat a slide
+        solved = refine(other, to_requested_segments(other, solved))
+        return solved.success and solved.executed.final <= largest_error(request)
+    return solved.success
 
 
 def _by_leg(run: Run, guess: Iterate) -> Why:
