@@ -367,8 +367,8 @@ def test_where_a_gap_is_too_hard_the_way_around_it_is_tried(helicopter, tmp_path
     assert np.abs(way[:, 1]).max() > 150 and around(request, [way]) == []
     monkeypatch.setattr(routes, "find_paths", lambda *_: [ends])
     flown = SimpleNamespace(success=True)
-    monkeypatch.setattr(planner, "_gentle", lambda request, progress, path: path if path is None else flown)
-    assert planner._unless_too_hard(request, None, None) is flown
+    monkeypatch.setattr(planner, "_gentle", lambda request, progress, path, beyond: path if path is None else flown)
+    assert planner._unless_too_hard(request, None, None, []) is flown
 
 
 @pytest.mark.parametrize("character", ["normal", "stunt"])
