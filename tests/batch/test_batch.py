@@ -130,7 +130,9 @@ def test_a_failed_plan_is_reported_once(write: Write, tmp_path: Path, monkeypatc
 
     def fail(*args: object, **more: object) -> SimpleNamespace:
         warnings.warn("car: plan failed: no way there", FailedPlan, stacklevel=1)
-        return SimpleNamespace(success=False, message="no way there", reason="not solved", possible={})
+        return SimpleNamespace(
+            success=False, message="no way there", reason="not solved", possible={}, possible_clearance=None
+        )
 
     path = write()
     simulated = path.read_text().partition("method")[0]

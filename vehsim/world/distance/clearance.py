@@ -116,7 +116,7 @@ class ObstacleScene:
         (n, geoms, 3) m and (n, geoms, 9): from a ball around each of its geoms to a box around each of the others."""
         boxes = self.model.geom_aabb[others]
         between = centres[:, self._own, None] - centres[:, None, others]
-        inside = np.einsum("noji,nkoj->nkoi", turns[:, others].reshape(-1, len(others), 3, 3), between)
+        inside = np.einsum("noji,nkoj->nkoi", turns[:, others].reshape(len(turns), len(others), 3, 3), between)
         over = np.abs(inside - boxes[:, :3]) - boxes[:, 3:]
         away = np.sqrt((np.maximum(over, 0.0) ** 2).sum(axis=3)) + np.minimum(over.max(axis=3), 0.0)
         return np.asarray(away - self.model.geom_rbound[self._own][:, None] - EXACT)
