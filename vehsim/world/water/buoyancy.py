@@ -382,7 +382,7 @@ class Afloat(Environment):
         self.field.cover(places, t)
         height = self.field.ceiling(world)
         low = world[:, 2] <= height
-        near = low.take(faces[:, 0]) | low.take(faces[:, 1]) | low.take(faces[:, 2])
+        near = np.logical_or.reduce([low.take(nodes) for nodes in faces.T])  # also crests between two corners
         if self.law.rise is not None:  # water rises along the bottom
             near |= self.mesh.bottom
         asked = np.zeros(len(places), bool)
