@@ -543,8 +543,8 @@ def _replaced(clip: Clip, motion: Clip, window: tuple[int, int]) -> Clip:
     before, after = clip.times < first - 1e-9, clip.times > last + 1e-9
     entry, leave = clip.at(first), clip.at(last)
 
-    def joined(old: Array, new: Array, enters: Any, leaves: Any, starts_anew: bool, carried: bool) -> Array:
-        new = new + starts_anew * (enters - new[0])
+    def joined(old: Array, new: Array, enters: Any, leaves: Any, *, anew: bool, carried: bool) -> Array:
+        new = new + anew * (enters - new[0])
         return np.concatenate([old[before], new, old[after] + carried * (new[-1] - leaves)])
 
     laws = clip.vehicle.channels
@@ -559,22 +559,27 @@ def _replaced(clip: Clip, motion: Clip, window: tuple[int, int]) -> Clip:
         clip,
         times=np.concatenate([clip.times[before], motion.times + first, clip.times[after]]),
         orientations=continuous(attitudes),
-        joints=joined(clip.joints, motion.joints, entry.joints[0], leave.joints[0], False, True),
+        joints=joined(clip.joints, motion.joints, entry.joints[0], leave.joints[0], anew=False, carried=True),
         channels={
             name: joined(
                 values,
                 motion.channels[name],
                 entry.channels[name][0],
                 leave.channels[name][0],
-                name in rates,
-                name in rates or name in turns_with_joints,
+                anew=name in rates,
+                carried=name in rates or name in turns_with_joints,
             )
             for name, values in clip.channels.items()
             if name in motion.channels
         },
         energy={
             name: joined(
-                values, motion.energy[name], entry.energy[name][0], leave.energy[name][0], name in SPENT, name in SPENT
+                values,
+                motion.energy[name],
+                entry.energy[name][0],
+                leave.energy[name][0],
+                anew=name in SPENT,
+                carried=name in SPENT,
             )
             for name, values in clip.energy.items()
             if name in motion.energy
