@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
+import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
-from tools.hostile_files.writers import CUBE, FACES, WRITERS, usda, written, wrong_arrays, wrong_meshes
+from tools.hostile_files.writers import CUBE, FACES, WRITERS, glb, usda, written, wrong_arrays, wrong_meshes
 from vehsim.errors import InputError, ShotError
 from vehsim.intake.arrays import read_array, read_arrays
 from vehsim.intake.foreign import reason_of
@@ -50,6 +53,66 @@ def test_broken_meshes_are_refused_or_read_as_valid_arrays(tmp_path: Path, read:
         assert np.isfinite(points).all() and faces.min() >= 0 and faces.max() < len(points)
         assert not path.name.startswith(("index", "point", "empty", "no_faces")), path
     assert refused > 50
+
+
+def gltf(path: Path, nodes: list[dict[str, object]]) -> Path:
+    """A glTF file of nodes below the first one; its only mesh is the cube of `glb`."""
+    binary = glb()
+    length = int.from_bytes(binary[12:16], "little")
+    scene = json.loads(binary[20 : 20 + length]) | {"nodes": nodes, "scenes": [{"nodes": [0]}], "scene": 0}
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    rest = binary[20 + length :]
+    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
+    path.write_bytes(head + text + rest)
+    return path
+
+
+def chain(depth: int, **more: object) -> list[dict[str, object]]:
+    return [{"children": [k + 1], **more} for k in range(depth - 1)] + [{"mesh": 0}]
+
+
+def test_nodes_of_a_gltf_are_placed_by_all_nodes_above_them(tmp_path: Path) -> None:
+    half = float(np.sqrt(0.5))
+    nodes = [
+        {"children": [1, 3], "translation": [1, 2, 3], "mesh": 0},
+        {"children": [2], "rotation": [0, half, 0, half]},
+        {"mesh": 0, "scale": [1, -2, 1], "translation": [0, 0, 5]},
+        {"mesh": 0, "matrix": [1, 0, 0, 0, 0, 2, 0, 0, 0, 0, 3, 0, 7, 8, 9, 1]},
+    ]
+    points, faces = read_triangles(gltf(tmp_path / "a.glb", nodes))
+    expected = trimesh.load_scene(tmp_path / "a.glb", process=False).to_mesh().triangles[..., [0, 2, 1]] * [1, -1, 1]
+    found = points[faces]
+    assert len(found) == 3 * len(FACES)
+    in_order = [np.array(sorted(each.reshape(-1, 9).round(3).tolist())) for each in (found, expected)]
+    np.testing.assert_allclose(*in_order, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "says"),
+    [
+        (chain(498), None),
+        (chain(499), "nodes nested deeper than 498; group them in fewer levels"),
+        (chain(20_000, mesh=0), "nodes nested deeper than 498"),
+        ([{"children": [1, 1]}, {"mesh": 0}], "a node has two parents"),
+        ([{"mesh": 0}, {"children": [2]}, {"children": [1]}], "nodes that are above themselves"),
+        ([{"children": [1]}], "nodes name children that its 1 nodes do not have"),
+        ([{"mesh": 0, "extras": "deep"}], "nested too deeply"),
+        ([{"mesh": 0}] * 200_001, "more than 200,000 nodes; give a smaller file, or raise the limit"),
+    ],
+)
+def test_nodes_of_a_gltf_that_are_no_tree_or_too_deep_are_refused(
+    tmp_path: Path, nodes: list[dict[str, object]], says: str | None
+) -> None:
+    path = gltf(tmp_path / "a.glb", nodes)
+    if says == "nested too deeply":
+        path = path.with_suffix(".gltf")
+        path.write_text(json.dumps({"nodes": nodes}).replace('"deep"', "[" * 50_000 + "]" * 50_000))
+    if says is None:
+        assert len(read_triangles(path)[1]) == len(FACES)
+    else:
+        with pytest.raises(InputError, match=f"{path.name}: mesh: {says}"):
+            read_triangles(path)
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.intake import gltf
 from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import SUFFIXES, is_drawn, open_stage, triangles_of
@@ -41,13 +43,33 @@ def triangles(path: Path, key: str) -> Answer:
     """Points and triangles of a file in a format other than USD. It runs in the reader process."""
     import trimesh
 
-    mesh = trimesh.load(path, force="mesh", process=False)  # unchanged: a silent repair would make another mesh
-    if not isinstance(mesh, trimesh.Trimesh):
-        raise refuse(path, key, "has no triangles", "export a triangle mesh")
-    points = np.asarray(mesh.vertices, dtype=float)
-    if path.suffix.lower() in (".glb", ".gltf"):  # glTF is Y up
+    if is_gltf := path.suffix.lower() in gltf.SUFFIXES:
+        gltf.scene_of(path, key)
+    scene = trimesh.load_scene(path, process=False)  # unchanged: a silent repair would make another mesh
+    points, faces = _placed(scene)
+    if is_gltf:  # Y up
         points = points[:, _Z_UP[0]] * _Z_UP[1]
-    return {}, list(_checked(path, key, points, np.asarray(mesh.faces, np.int64)))
+    return {}, list(_checked(path, key, points, faces))
+
+
+def _placed(scene: Any) -> Triangles:
+    """All triangles of trimesh's ``scene``. Each node's matrix is made once; trimesh multiplies all above it."""
+    graph, children = scene.graph.transforms, scene.graph.transforms.children
+    points, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    left = [(scene.graph.base_frame, np.eye(4))]
+    while left:
+        node, matrix = left.pop()
+        mesh = scene.geometry.get(graph.node_data[node].get("geometry"))
+        if hasattr(mesh, "faces"):  # others are points and lines
+            corners = np.asarray(mesh.faces, np.int64)
+            mirrored = np.linalg.det(matrix[:3, :3]) < 0
+            points.append(np.asarray(mesh.vertices, float) @ matrix[:3, :3].T + matrix[:3, 3])
+            faces.append((corners[:, ::-1] if mirrored else corners) + count)
+            count += len(points[-1])
+        left += [
+            (each, matrix @ graph.edge_data[node, each].get("matrix", np.eye(4))) for each in children.get(node, [])
+        ]
+    return np.concatenate(points), np.concatenate(faces)
 
 
 def _checked(path: Path, key: str, points: Array, faces: NDArray[np.int64]) -> Triangles:

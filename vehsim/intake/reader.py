@@ -41,7 +41,7 @@ Read = Callable[..., Answer]
 
 KEPT, MOST_KEPT = 50_000_000, 1_000_000_000
 """Bytes of the largest answer that is kept for other processes, and of all of them."""
-MADE = 2
+MADE = 3
 """Change it whenever the answers of a reading function change: cached answers are then made again."""
 PATIENCE = 10.0
 """Time that a file may take, in multiples of the limit for the processor: other programs use the machine too."""

@@ -11,7 +11,6 @@ import io
 import json
 import re
 import shutil
-import struct
 import unicodedata
 import warnings
 from collections.abc import Mapping
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.errors import InputError
+from vehsim.intake import gltf
 from vehsim.intake.foreign import reading
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import SUFFIXES, open_stage
@@ -246,10 +246,7 @@ def _is_whole(made: Path, by: Path) -> bool:
 
 def motions(path: Path) -> Answer:
     """What a glTF contains of animation and skins, such as "2 skins". It runs in the reader process."""
-    data = path.read_bytes()
-    if path.suffix.lower() == ".glb":  # 12 bytes of header, then length, type and text of the JSON
-        data = data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
-    scene = json.loads(data)
+    scene = gltf.scene_of(path, "asset")
     return [f"{len(scene[key])} {key}" for key in ("animations", "skins") if scene.get(key)], []
 
 
