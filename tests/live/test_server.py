@@ -27,6 +27,7 @@ from vehsim.live import session as live_session
 from vehsim.live.messages import Drag, Place
 from vehsim.live.server import Server
 from vehsim.live.session import Session
+from vehsim.planning import drafts
 
 PATIENCE = 600.0  # s, on a busy machine
 
@@ -376,6 +377,20 @@ def test_a_dragged_motion_that_was_not_found_again_is_kept_as_guess(path):
         assert problem.key == "vehicle[0].motion.guess" and "no such file" in problem.message
 
     asyncio.run(play())
+
+
+def test_a_difference_that_comes_from_the_grid_offers_no_guess(path, monkeypatch):
+    """The car speeds up and slows down: on 4 segments it does so elsewhere than on 16, also from a guess."""
+    path.write_text(SHOT.replace("segments = 8", "segments = 16"))
+    monkeypatch.setattr(drafts, "UNKNOWNS", 2 * 4)
+    session = Session(path, path.parent, lambda *_: None)
+    session.solve()
+    session.prepare()
+    place = {"key": MARK, "position": [9.0, 2.0, 0.0]}
+    session.drag(Drag(kind="drag", **place))
+    session.place(Place(kind="place", **place))
+    (told,) = [one for one in session.problems if "dragged" in one["text"]]
+    assert "the dragged one, because a drag is solved on a coarser grid" in told["text"] and "keeps" not in told
 
 
 def test_what_cannot_be_met_says_why_and_can_be_undone(path):

@@ -10,7 +10,7 @@ from vehsim import Mark
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import certify, certify_plane
-from vehsim.planning.drafts import SEGMENTS, draft
+from vehsim.planning.drafts import UNKNOWNS, draft
 from vehsim.world.obstacles.obstacles import box
 
 CAR = vehsim.load_vehicle("car")
@@ -74,7 +74,7 @@ def test_wheels_stand_on_the_ground_and_segments_are_few():
     world = vehsim.World(terrain="hills")
     clip = vehsim.plan(CAR, world, marks(3.0), fps=24, segments=8, refine=False).clip
     made = draft(CAR, world, marks(3.0), clip, fps=24, segments=400).clip()
-    assert len(made) == 85 and SEGMENTS == 48
+    assert len(made) == 85 and UNKNOWNS == 2 * 96
     assert made.positions[:, 2] == pytest.approx(world.height(made.positions[:, :2]), abs=0.3)
     assert np.ptp(made.positions[:, 2]) > 0.05 and "heave" in made.channels
 

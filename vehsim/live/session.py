@@ -361,7 +361,7 @@ class Session:
         self._kept = self.document.text, drawn
         if shown is not None:
             for name in drawn:
-                self._compare(name, {"keeps": name})
+                self._compare(name)
         return shown
 
     def keep_dragged(self, wanted: KeepDragged) -> bytes | None:
@@ -375,16 +375,31 @@ class Session:
         self.document.put(f"vehicle[{at}].motion.guess", path.name)
         shown = self.solve()
         if shown is not None:
-            self._compare(wanted.vehicle, {})
+            self._compare(wanted.vehicle, drawn[wanted.vehicle])
         return shown
 
-    def _compare(self, name: str, offer: dict[str, Any]) -> None:
-        """Report a solved motion that differs visibly from the dragged one, with an ``offer`` of what to do."""
-        assert self.take is not None
-        away = _apart(self._kept[1][name], self.take.clips[name])
-        if away > VISIBLE:
-            text = f"{name}: the solved motion is up to {away:.2g} m from the dragged one"
-            self.problems.append({"text": text, **offer})
+    def _compare(self, name: str, guess: Clip | None = None) -> None:
+        """Report a solved motion that differs visibly from the dragged one, which was its ``guess`` or may become it.
+
+        As a guess it would change nothing if the solved motion, drawn as coarsely as in a drag, is the dragged one.
+        Later drags start from the solved motion.
+        """
+        assert self.take is not None and self.shot is not None
+        dragged = guess or self._kept[1][name]
+        away = _apart(dragged, self.take.clips[name])
+        if away <= VISIBLE:
+            return
+        text, coarse, offer = f"{name}: the solved motion is up to {away:.2g} m from the dragged one", False, {}
+        self._drafts.pop(name, None)
+        with suppress(VehsimError):
+            coarse = _apart(dragged, self._follow(self.shot, name).clip()) <= VISIBLE
+        if coarse:
+            text += ", because a drag is solved on a coarser grid"
+        elif guess is not None:
+            text += ", also with that as its guess"
+        else:
+            offer = {"keeps": name}
+        self.problems.append({"text": text, **offer})
 
     # ------------------------------------------------------------ change
 

@@ -29,8 +29,9 @@ from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import drawn
 from vehsim.vehicles import Vehicle
 
-SEGMENTS = 48
-"""Largest number of segments of a draft: enough for fast flight, and few enough to be solved while somebody drags."""
+UNKNOWNS = 192
+"""Largest number of controls of a draft, over all its segments: 96 segments with two controls, 48 with four. Enough for
+fast flight, and few enough to be solved while somebody drags; fewer than the plan's change the motion visibly."""
 ITERATIONS = 60
 """Largest number of iterations of a solve: marks that cannot be met must not hold up those that follow."""
 
@@ -89,15 +90,16 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None
 
     Raises ``InputError`` for an invalid request.
     """
-    segments = max(min(SEGMENTS, options.get("segments", SEGMENTS)), 2 * len(marks))
+    most = UNKNOWNS // len(vehicle.control_names)
+    segments = max(min(most, options.get("segments", most)), 2 * len(marks))
     while True:
         request = make_request(
             vehicle, world, marks, **{**options, "refine": False, "segments": segments, "max_iterations": ITERATIONS}
         )
         made = _first(request, clip)
-        if made.success or segments >= SEGMENTS:
+        if made.success or segments >= most:
             return made
-        segments = min(2 * segments, SEGMENTS)
+        segments = min(2 * segments, most)
 
 
 def _first(request: Request, clip: Clip | None) -> Draft:
