@@ -171,7 +171,7 @@ def _curves(track: Track, vehicle: Any, wind: Array) -> Iterator[_Curve]:
     lower, upper = (np.array([getattr(c, end) for c in vehicle.controls]) for end in ("lower", "upper"))
     bounded = np.isfinite(upper - lower)
     if bounded.any():
-        yield reviewed("saturation", _use(track.controls, lower, upper)[:, bounded].max(axis=1))
+        yield reviewed("saturation", _use(track.controls[:, bounded], lower[bounded], upper[bounded]).max(axis=1))
     ranges = np.where(bounded, upper - lower, 2 * np.array([c.scale for c in vehicle.controls]))
     yield reviewed("reversals", _reversals(track, ranges))
     names = {name: trait.normal for name, trait in traits.control_rates.items()}

@@ -105,6 +105,14 @@ def test_saturation_is_a_share_of_time_and_reversals_are_counted() -> None:
     assert row(small, "reversals")["worst"] == 0
 
 
+def test_a_control_without_bounds_is_never_saturated() -> None:
+    free = replace(BOAT, controls=(replace(BOAT.controls[0], upper=math.inf), *BOAT.controls[1:]))
+    turned = BOAT.controls[1].upper / 2
+    with np.errstate(all="raise"):
+        clip = along_x(free, still, still, (lambda t: 1e9 + 0 * t, lambda t: turned + 0 * t))
+        assert row(clip, "saturation")["worst"] == 0
+
+
 def test_ease_is_measured_where_the_motion_rests() -> None:
     rate = BOAT.character.control_rates["thrust"].normal
 

@@ -171,8 +171,9 @@ def test_broken_grids_are_refused(tmp_path: Path, seed: int) -> None:
             Terrain.load(path)
         assert says_what_to_do(refused.value, path)
     for path in written(tmp_path, wrong_arrays(KEYS, seed)):
-        with pytest.raises(InputError):
+        with pytest.raises(InputError) as refused:
             WaterGrids.load(path)
+        assert says_what_to_do(refused.value, path), refused.value
 
 
 def test_oversized_headers_take_no_memory(tmp_path: Path) -> None:

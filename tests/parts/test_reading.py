@@ -231,7 +231,10 @@ def _not_finite(stage):
     [
         (_no_mesh, r"/rig: no mesh"),
         (_flat_scale, r"/rig/squashed: its transform cannot be inverted"),
-        (_scales_that_overflow, r"/rig/huge/huger: its transform is not finite"),
+        (
+            _scales_that_overflow,
+            r"/rig/huge/huger: its transform is not finite; fix its translation, rotation or scale",
+        ),
         (_broken_faces, r"/rig/mesh: its faces do not fit its 8 points"),
         (_not_finite, r"/rig/mesh: points that are not finite"),
     ],

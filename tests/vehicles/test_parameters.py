@@ -102,6 +102,21 @@ def test_a_wrong_parameter_is_named_with_its_unit(
     assert message in problem.message and remedy in problem.remedy
 
 
+def test_a_vehicle_without_joints_says_that_it_has_none() -> None:
+    with pytest.raises(InputError, match=r"parameters.joints.psi = .*: unknown key; known keys: \(none\)"):
+        load_vehicle("tumbler", {"joints": {"psi": {"lower": 0}}})
+
+
+@pytest.mark.parametrize("name", ["helicopter", "boat", "hopper", "tumbler"])
+def test_an_inertia_that_no_body_has_is_refused(name: str) -> None:
+    """About each axis at most the sum of those about the others; a plate has exactly that sum."""
+    assert load_vehicle(name, {"inertia": [1.0, 2.0, 3.0]}).parameters["inertia"] == [1.0, 2.0, 3.0]
+    with pytest.raises(
+        InputError, match=r"parameters.inertia = .*: one moment is larger than the sum of the other two"
+    ):
+        load_vehicle(name, {"inertia": [1.0, 2.0, 3.01]})
+
+
 def test_everything_that_is_wrong_is_listed_at_once() -> None:
     with pytest.raises(InputError) as raised:
         load_vehicle("car", {"mass": -1, "wheelbase": "long", "color": 3})

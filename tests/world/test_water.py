@@ -376,7 +376,7 @@ def test_grids_are_read_and_invalid_ones_refused(tmp_path):
     np.savez(path, times=[0.0, 1.0], heights=np.zeros((2, 3, 3)), origin=(1.0, 2.0), cell=(0.5, 0.5))
     assert WaterGrids.load(path).upper.tolist() == [2.0, 3.0]
     np.savez(path, times=[0.0, 1.0], heights=np.full((2, 3, 3), np.nan), origin=(1.0, 2.0), cell=(0.5, 0.5))
-    with pytest.raises(InputError, match=r"world.water.grids.heights: not finite"):
+    with pytest.raises(InputError, match=r"w.npz: world.water.grids.heights: not finite"):
         WaterGrids.load(path)
     np.savez(path, times=[0.0, 1.0])
     with pytest.raises(InputError, match="without heights, origin, cell"):

@@ -175,7 +175,7 @@ def problems_of(errors: Any, root: Mapping[str, Any]) -> Iterator[Problem]:
         key, value = dotted(place), error["input"]
         match error["type"]:
             case "extra_forbidden":
-                yield Problem(key, "unknown key", _suggest(str(place[-1]), keys), value)
+                yield Problem(key, "unknown key", suggestion(str(place[-1]), keys), value)
             case "missing":
                 yield Problem(key, "missing", f"give {description}")
             case "union_tag_not_found" | "union_tag_invalid":
@@ -245,6 +245,7 @@ def _resolve(node: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, A
             return node
 
 
-def _suggest(key: str, known: list[str]) -> str:
+def suggestion(key: str, known: list[str]) -> str:
+    """The remedy for an unknown key."""
     close = get_close_matches(key, known, n=1)
     return f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(known) or '(none)'}"

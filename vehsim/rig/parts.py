@@ -368,7 +368,10 @@ def _rigid(asset: str | Path, node: _Node) -> Array:
     linear = node.matrix[:3, :3]
     if not np.isfinite(node.matrix).all():
         raise InputError(
-            "its transform is not finite", "fix its scale", key=str(node.prim.GetPath()), file=made_of(asset)
+            "its transform is not finite",
+            "fix its translation, rotation or scale",
+            key=str(node.prim.GetPath()),
+            file=made_of(asset),
         )
     u, stretch, v = np.linalg.svd(linear)
     if stretch[-1] <= 1e-9 * max(stretch[0], 1e-30):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from annotated_types import Ge, Gt, Len
+from pydantic import AfterValidator
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,13 @@ class Unit:
 def in_degrees(unit: str) -> tuple[float, str]:
     """The factor from an SI unit to the one that users see, and its name: degrees in place of radians."""
     return (180 / math.pi if unit.startswith("rad") else 1.0), unit.replace("rad", "deg")
+
+
+def _of_a_body(moments: Sequence[float]) -> Sequence[float]:
+    """Each moment is at most the sum of the other two; equal for a flat body."""
+    if 2 * max(moments) > sum(moments) * (1 + 1e-6):
+        raise ValueError("one moment is larger than the sum of the other two, as of no body")
+    return moments
 
 
 Mass = Annotated[float, Unit("kg"), Gt(0)]
@@ -44,7 +52,7 @@ MomentVolume = Annotated[float, Unit("m^3")]
 QuadraticDamping = Annotated[float, Unit("N s^2/m^2"), Ge(0)]
 
 Place = Annotated[Sequence[Coordinate], Len(3, 3)]
-PrincipalInertia = Annotated[Sequence[Inertia], Len(3, 3)]
+PrincipalInertia = Annotated[Sequence[Inertia], Len(3, 3), AfterValidator(_of_a_body)]
 Angle = Annotated[float, Unit("rad"), Ge(0)]
 SignedAngle = Annotated[float, Unit("rad")]
 Slope = Annotated[Sequence[Annotated[float, Unit("")]], Len(2, 2)]

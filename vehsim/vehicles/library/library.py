@@ -17,6 +17,7 @@ import numpy as np
 
 from vehsim.assets import described, description
 from vehsim.errors import InputError
+from vehsim.intake.tables import suggestion
 from vehsim.intake.toml import lines_in
 from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, HITCH_PITCH, HITCH_ROLL, Drive, Rig, Suspension
 from vehsim.runtime.cache import Stamp, stamp
@@ -349,6 +350,6 @@ def _drive(values: dict[str, Any]) -> Drive:
 def _known(path: Path, prefix: str, table: dict[str, Any], known: set[str]) -> None:
     for key in table:
         if key not in known:
-            close = get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(sorted(known))}"
-            raise InputError("unknown key", hint, key=f"{prefix}{key}", value=table[key], file=path)
+            raise InputError(
+                "unknown key", suggestion(key, sorted(known)), key=f"{prefix}{key}", value=table[key], file=path
+            )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -64,8 +64,12 @@ class WaterGrids:
         given: dict[str, Any] = read_arrays(Path(path), "world.water.grids", KEYS)
         missing = [key for key in ("times", "heights", "origin", "cell") if key not in given]
         if missing:
-            raise _wrong("grids", f"without {', '.join(missing)}", f"save {', '.join(KEYS)}", str(path))
-        return cls(**given)
+            without = f"without {', '.join(missing)}"
+            raise InputError(without, f"save {', '.join(KEYS)}", key="world.water.grids", file=path)
+        try:
+            return cls(**given)
+        except InputError as error:
+            raise InputError.of(*(replace(each, file=str(path)) for each in error.problems)) from None
 
     @property
     def shortest(self) -> float:
