@@ -140,6 +140,19 @@ def test_a_value_of_another_type_is_refused(tmp_path: Path, written: bytes, says
             read_triangles(tmp_path / "a.usda")
 
 
+@pytest.mark.parametrize("written", ["paint", "float", "color4f"])
+def test_the_colour_of_a_shader_has_the_type_of_a_colour(tmp_path: Path, written: str) -> None:
+    value = {"paint": "(1, 0, 0)", "float": "1", "color4f": "(1, 0, 0, 1)"}[written]
+    shader = (
+        f'def Shader "s"\n{{\nuniform token info:id = "UsdPreviewSurface"\n{written} inputs:diffuseColor = {value}\n}}'
+    )
+    (tmp_path / "a.usda").write_text(f'#usda 1.0\ndef Xform "rig"\n{{\n{shader}\n}}\n')
+    with pytest.raises(
+        InputError, match=rf"/rig/s.inputs:diffuseColor: of type {written}, not color3f; export it again"
+    ):
+        dependencies(tmp_path / "a.usda")
+
+
 def test_a_skeleton_without_bounds_is_refused_where_it_is_read(tmp_path: Path) -> None:
     """USD raises an error of it in whatever process asks for the stage's bounds, such as `inspect` and exports."""
     joints = 'uniform token[] joints = ["a", "a/b"]\nuniform matrix4d[] restTransforms = []\n'

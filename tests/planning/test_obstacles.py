@@ -1,6 +1,7 @@
 """Cars among obstacles: clear according to an independent library, between knots too; infeasible marks are named."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ from vehsim import Mark, World
 from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import certify_plane
+from vehsim.planning.certify import _settles
+from vehsim.planning.constraints.block import Finding
 from vehsim.planning.constraints.features import CORNERS, body_of, form_of, gap
 from vehsim.planning.constraints.features import element as row_of
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.guesses import astar
 from vehsim.planning.guesses.astar import guess_drive, turning_radius
+from vehsim.planning.iterate import Certificate
 from vehsim.planning.outlines import clearances, inner_discs, least_clearance, simplified
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.layout import Layout
@@ -442,3 +446,12 @@ def test_worlds_of_the_same_shapes_share_a_problem(car):
         replace(block, active=np.ones((len(block.features), 3), bool)).key(Layout(t.sizes, (2,)), t) for block in blocks
     )
     assert one == two and hash(one) == hash(two)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "settled"),
+    [(0.13, 0.142, False), (0.142, 0.144, True), (0.142, 0.147, False), (0.12, 0.125, False), (0.144, 0.151, False)],
+)
+def test_tightening_ends_where_it_gains_little_within_the_tolerance(before: float, after: float, settled: bool) -> None:
+    found = [SimpleNamespace(certificate=Certificate((Finding(gap, 0.15, False),))) for gap in (before, after)]
+    assert _settles(*found) is settled

@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,7 @@ def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:
 def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The answer of `examine`, cached as long as its files have the same content."""
     most = limit("VEHSIM_READ_PRIMS")
-    made_of = (3, str(asset), content_of(asset))
+    made_of = (4, str(asset), content_of(asset))
     kept = lookup("screened", made_of)
     facts = None if kept is None else json.loads(kept)
     if (
@@ -177,14 +178,14 @@ def examine(asset: Path, most: float) -> Answer:
     stage = Usd.Stage.Open(str(asset))
     others = [layer for layer in {*layers, *stage.GetUsedLayers()} if layer != stage.GetRootLayer()]
     written += _read_layers(others, asset, most)
-    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+    transforms = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     prims = 0
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
         prims += 1
         if prims > most:
             raise _too_many(asset, most)
         _check_types(prim, asset)
-        cache.GetLocalToWorldTransform(prim)
+        transforms.GetLocalToWorldTransform(prim)
         imageable = UsdGeom.Imageable(prim)
         if imageable:
             imageable.ComputeVisibility(Usd.TimeCode.EarliestTime())
@@ -222,17 +223,29 @@ def _read_layers(layers: Iterable[Any], asset: Path, most: float) -> int:
 
 
 def _check_types(prim: Any, asset: Path) -> None:
-    """Refuse properties of a prim's schemas that are written with a type from which their values cannot be read."""
+    """Refuse properties of a prim's schemas, and drawn inputs of shaders, that are written with a type from which their
+    values cannot be read."""
     from pxr import Sdf
 
-    definition = prim.GetPrimDefinition()
+    definition, inputs = prim.GetPrimDefinition(), _drawn_inputs() if prim.GetTypeName() == "Shader" else {}
     for attribute in prim.GetAuthoredAttributes():
         schema = definition.GetSchemaAttributeSpec(attribute.GetName())
-        for spec in attribute.GetPropertyStack() if schema else ():
+        needed = schema.typeName if schema else inputs.get(attribute.GetName())
+        for spec in attribute.GetPropertyStack() if needed else ():
             written = spec.typeName if isinstance(spec, Sdf.AttributeSpec) else None
-            if not written or not (written == schema.typeName or _alike(written, schema.typeName)):
-                said = f"of type {written or 'rel'}, not {schema.typeName}"
+            if not written or not (written == needed or _alike(written, needed)):
+                said = f"of type {written or 'rel'}, not {needed}"
                 raise InputError(said, "export it again", key=str(spec.path), file=asset)
+
+
+@cache
+def _drawn_inputs() -> dict[str, Any]:
+    """The inputs of shaders that are drawn, with their types."""
+    from pxr import Sdf
+
+    colours, numbers = ("diffuseColor", "emissiveColor"), ("opacity", "roughness", "metallic")
+    types = dict.fromkeys(colours, Sdf.ValueTypeNames.Color3f) | dict.fromkeys(numbers, Sdf.ValueTypeNames.Float)
+    return {f"inputs:{name}": kind for name, kind in types.items()}
 
 
 def _alike(one: Any, other: Any) -> bool:

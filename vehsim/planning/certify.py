@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from vehsim.planning.constraints.clearance import SLACK
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.refine import refine
 from vehsim.planning.solve import measured
@@ -35,9 +36,17 @@ def refine_and_certify(run: Run, iterate: Iterate) -> Iterate:
         tighter = refine(run, tighten(iterate), before=iterate)
         if not tighter.success:
             break
-        iterate = certify(run, tighter)
+        before, iterate = iterate, certify(run, tighter)
+        if _settles(before, iterate):
+            break
     return iterate
 
 
 def _unmet(iterate: Iterate) -> bool:
     return iterate.success and iterate.certificate is not None and not iterate.certificate.met
+
+
+def _settles(before: Iterate, after: Iterate) -> bool:
+    """Whether the clearance that is missing is within its tolerance, and tightening reduced it by less than half."""
+    assert before.certificate is not None and after.certificate is not None
+    return not after.certificate.messages and before.certificate.lack / 2 < after.certificate.lack < SLACK

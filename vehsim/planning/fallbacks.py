@@ -87,8 +87,12 @@ def with_fewer_requirements(
     return run, iterate
 
 
-def from_other_guesses(run: Run, failed: Iterate, paths: Sequence[Array], guess: Any) -> Iterate:
+def from_other_guesses(
+    run: Run, failed: Iterate, paths: Sequence[Array], guess: Any, untried: Iterate | None = None
+) -> Iterate:
     """The iterate solved from other initial guesses, or the failed one with the reason.
+
+    ``untried``: the first guess in its character, if only its stunt was tried: it comes after the other guesses.
 
     A flight through a narrow place tries the way around it. A vehicle that drives nose first tries to reverse, then to
     change its direction on the way. Then, in free space, a relaxed problem finds out whether the marks can be met
@@ -111,7 +115,9 @@ def from_other_guesses(run: Run, failed: Iterate, paths: Sequence[Array], guess:
         iterate = solve(run, _again(run, iterate, others, stretch=stretch))
     if iterate.success or iterate.why or run.deadline.late:
         return iterate
-    last = iterate
+    last = iterate if untried is None else solve(run, untried)
+    if last.success:
+        return last
     if failed.blocked:
         last = _diagnosed(run, iterate, paths, guess)
         if last.success:

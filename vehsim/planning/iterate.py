@@ -62,6 +62,11 @@ class Certificate:
         return max((finding.wanted for finding in self.findings), default=0.0)
 
     @property
+    def lack(self) -> float:
+        """By how much the clearance is too small, m; negative where it is larger than requested."""
+        return self.wanted - self.clearance
+
+    @property
     def met(self) -> bool:
         """Whether no finding requires a tighter solve."""
         return all(finding.met for finding in self.findings)

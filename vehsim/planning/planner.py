@@ -449,20 +449,24 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if clearance is not None and clearance.squeezes(iterate):
         iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
     patient = math.isinf(request.deadline) and request.max_iterations > QUICK
+    stunt = untried = None
     if early and patient and not iterate.success and request.traits.harder is not None:
-        iterate = _quickly(run, iterate, paths, as_clip(request, guess))
-    iterate = iterate if iterate.success else solve(run, iterate)
+        iterate, stunt = _quickly(run, iterate, paths, as_clip(request, guess))
+    if stunt is not None and iterate.blocked and not stunt.success:
+        untried = iterate  # other guesses are better than this one
+    elif not iterate.success:
+        iterate = solve(run, iterate)
     relaxed = request
     if not (iterate.success or once or run.deadline.late):
         if request.traits.name != STUNT:  # first find any motion, then apply the character
-            iterate = without_character(run, iterate, paths, as_clip(request, guess))
+            iterate = stunt or without_character(run, iterate, paths, as_clip(request, guess))
             relaxed = replace(request, traits=NO_TRAITS)
         if not iterate.success:
             iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
     if not (iterate.success or once):
         run, iterate = with_fewer_requirements(run, iterate, relaxed, paths, guess)
     if not (iterate.success or once):
-        iterate = from_other_guesses(run, iterate, paths, guess)
+        iterate = from_other_guesses(run, iterate, paths, guess, untried)
     iterate = _in_traits(run, iterate, request)
     if _presses(iterate) and (strain := _strain(iterate, request)) > STRAINED and not run.deadline.late:
         narrow = _in_traits(run, in_narrow_places(run, iterate, paths, as_clip(request, guess)), request)
@@ -475,16 +479,20 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     return _result(run, iterate)
 
 
-def _quickly(run: Run, begun: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
-    """The iterate solved if that takes few iterations, else as it was; raises `_TooHard` if it is too hard even near
-    the motion of a stunt, which is found at once where marks leave too little time for the character."""
+def _quickly(run: Run, begun: Iterate, paths: Sequence[Array], clip: Clip | None) -> tuple[Iterate, Iterate | None]:
+    """The iterate solved if that takes few iterations, else as it was, with its stunt, which may have failed.
+
+    Raises `_TooHard` if it is too hard even near the motion of the stunt, which is found at once where marks leave too
+    little time for the character.
+    """
     quick = solve(run, begun, QUICK)
-    if not quick.success:
-        stunt = without_character(run, begun, paths, clip)
-        near = nearby(run, stunt, begun.request.traits) if stunt.success else stunt
-        if _is_too_hard(run, near):
-            raise _TooHard(near)
-    return quick
+    if quick.success:
+        return quick, None
+    stunt = without_character(run, begun, paths, clip)
+    near = nearby(run, stunt, begun.request.traits) if stunt.success else stunt
+    if _is_too_hard(run, near):
+        raise _TooHard(near)
+    return quick, stunt
 
 
 def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:
