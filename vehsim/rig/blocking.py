@@ -283,7 +283,10 @@ def _nose(forward: str, up: Array) -> Array:
 
 
 def _world_matrices(stage: Any, prims: Sequence[Any], frames: Array) -> Array:
-    """Column-vector matrices (m, n, 4, 4) from prims to the world of their stage."""
+    """Column-vector matrices (m, n, 4, 4) from prims to the world of their stage.
+
+    Raises ``InputError`` for transforms that are not numbers.
+    """
     from pxr import UsdGeom
 
     cache, matrices = UsdGeom.XformCache(), np.empty((len(prims), len(frames), 4, 4))
@@ -291,6 +294,10 @@ def _world_matrices(stage: Any, prims: Sequence[Any], frames: Array) -> Array:
         cache.SetTime(frame)
         for matrix, prim in zip(matrices, prims, strict=True):
             matrix[k] = np.array(cache.GetLocalToWorldTransform(prim)).T
+            if not np.isfinite(matrix[k]).all():
+                said = f"its transform is not a number at frame {frame:g}"
+                file = stage.GetRootLayer().identifier
+                raise InputError(said, "fix its keys", key=str(prim.GetPath()), file=file)
     return matrices
 
 
