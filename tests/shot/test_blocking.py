@@ -187,12 +187,12 @@ def test_another_frame_rate_is_an_error(tmp_path: Path) -> None:
         read_blocking(stage_with(tmp_path / "in.usda"), "/World/heli", Fraction(30))
 
 
+@pytest.mark.broken_stages
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_keys_that_are_not_numbers_are_named(tmp_path: Path, value: float) -> None:
     stage = stage_with(tmp_path / "in.usda", keys={**KEYS, 1060: ((value, 0.0, 0.0), 0.0)})
     with pytest.raises(InputError, match=r"in.usda: /World/heli: its transform is not a number at frame 1051"):
         read_blocking(stage, "/World/heli", FPS)
-    stage.unlink()  # every stage that a test leaves is validated
 
 
 def shot_with(change: dict[str, Any]) -> dict[str, Any]:
