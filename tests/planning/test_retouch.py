@@ -6,6 +6,7 @@ import pytest
 import vehsim
 from vehsim import Mark
 from vehsim.lie.quaternions import matrices
+from vehsim.planning import retouch as retouching
 from vehsim.planning.retouch import KEPT, retouch
 
 CAR, HELI = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
@@ -58,6 +59,22 @@ def test_shorter_segments_are_tried_where_untouched_frames_would_move(drive, mon
     monkeypatch.setattr("vehsim.planning.retouch.TRIES", ((1.0, 1.0), (1.0, 1 / 12)))
     fine = retouch(drive, None, frames, positions, rotations)
     assert coarse.kept > KEPT >= fine.kept
+
+
+@pytest.mark.parametrize(("surface", "room"), [("asphalt", 24), ("gravel", 33)])
+def test_sliding_cars_have_short_segments_and_more_time_on_loose_ground(surface, room, monkeypatch):
+    """Gravel has 0.54 of asphalt's friction, so that a correction takes 1 / sqrt(0.54) = 1.36 times as long."""
+    car = vehsim.load_vehicle("drift_car", {"surface": surface})
+    start = vehsim.State(position=(0, 0, 0), twist=(0.0, 8.0, 0.0), joint_rates=(8.0 / 0.31, 0.0, 8.0 / 0.31))
+    clip = vehsim.simulate(car, None, lambda t, state: (100.0, 0.0, 0.0, 0.05 * np.sin(2 * t)), start, 4.5)
+    tried = []
+    attempt = retouching._attempt
+    monkeypatch.setattr(retouching, "_attempt", lambda *given: tried.append(given[3:5]) or attempt(*given))
+    made = retouch(clip, None, *bumped(clip, 1045, 1065, (0.0, 0.05, 0.0)))
+    ((window, count),) = tried
+    ((first, last),) = made.touched
+    assert made.kept < KEPT and window == (first - room, last + room)
+    assert count == window[1] - window[0]  # of a frame each
 
 
 def test_a_car_follows_an_edit_that_it_can_drive(drive):

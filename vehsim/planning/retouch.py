@@ -7,6 +7,7 @@ vehicle follows the edit as closely as its dynamics and limits permit; outside, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -46,6 +47,7 @@ from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import STUNT
 from vehsim.vehicles.definition.joint_channels import joint_channels
+from vehsim.vehicles.definition.surfaces import SURFACES
 
 Array = NDArray[np.float64]
 
@@ -56,9 +58,9 @@ KEPT = 0.01
 AT_KNOTS = 0.8
 """Share of `KEPT` that knots may use: the motion between them needs the rest."""
 TRIES = ((1.0, 1 / 12), (1.5, 1 / 12), (1.0, 1 / 24), (1.5, 1 / 24))
-"""How long before and after the touched frames the vehicle may prepare and recover, s, and the duration of a segment,
-s, until a motion is found: a car at the limit of its grip needs longer to return, and linear controls must be able to
-show those of the solved motion."""
+"""How long before and after the touched frames the vehicle may prepare and recover on dry asphalt, s (`_slower` says by
+what factor it is longer), and the duration of a segment, s, until a motion is found: a car at the limit of its grip
+needs longer to return, and linear controls must be able to show those of the solved motion."""
 FEWEST = 6
 """Smallest number of segments of a window."""
 ITERATIONS = 60
@@ -142,9 +144,10 @@ def retouch(
             "move its mark and solve it again, or edit other frames",
             subject=clip.vehicle.name,
         )
-    fixed, made = [*stops, *edit.frames[landed]], None
-    for room, segment in TRIES:
-        tried = edit.windows(round(room * float(clip.fps)), fixed)
+    fixed, made, slower = [*stops, *edit.frames[landed]], None, _slower(clip.vehicle)
+    slips = math.isfinite(clip.vehicle.largest_step)  # controls of long segments do not repeat a slide
+    for room, segment in sorted(TRIES, key=lambda each: each[1]) if slips else TRIES:
+        tried = edit.windows(round(room * slower * float(clip.fps)), fixed)
         try:
             made = _solved_again(clip, world, edit, tried, segment, clearance, limits, progress)
         except SolveError as error:
@@ -170,6 +173,14 @@ def retouch(
         kept,
         tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in lifted),
     )
+
+
+def _slower(vehicle: Vehicle) -> float:
+    """By what factor a vehicle needs longer for the same correction than on dry asphalt.
+
+    A force moves a mass by a distance in a time that goes with the root of 1 / force.
+    """
+    return float(SURFACES[vehicle.surface].friction ** -0.5)
 
 
 def check_pushed(vehicle: Vehicle) -> None:
