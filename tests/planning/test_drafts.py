@@ -163,3 +163,9 @@ def test_dragging_is_as_exact_whatever_the_magnitude_of_the_cost(price):
     exact = vehsim.plan(HELICOPTER, None, drags[-1], refine=False, guess=now.clip(), **asked).clip
     away = np.linalg.norm(now.clip().positions - exact.resample().positions, axis=1).max()
     assert away < 0.05, away
+
+
+def test_a_vehicle_without_controls_is_drafted() -> None:
+    marks = [Mark(1, position=(0, 0, 0)), Mark(25, position=(1, 0, 0))]
+    thrown = draft(vehsim.load_vehicle("tumbler"), None, marks, None, fps=24, segments=32)
+    assert thrown.success and np.allclose(thrown.clip().positions[-1], (1, 0, 0), atol=1e-6)

@@ -90,7 +90,7 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None
 
     Raises ``InputError`` for an invalid request.
     """
-    most = UNKNOWNS // len(vehicle.control_names)
+    most = UNKNOWNS // max(1, len(vehicle.control_names))
     segments = max(min(most, options.get("segments", most)), 2 * len(marks))
     while True:
         request = make_request(
