@@ -17,6 +17,7 @@ import vehsim.assets
 from tests.shots import driven
 from vehsim import Shot
 from vehsim.batch import export_batch, load_shots
+from vehsim.cameras import framing
 from vehsim.cli import commands as cli
 from vehsim.errors import InputError, SolveError
 from vehsim.shot import cache as kept
@@ -218,6 +219,27 @@ def test_warnings_are_cached_with_the_motion(monkeypatch: pytest.MonkeyPatch) ->
         with pytest.warns(UserWarning, match="car: slides") as caught:
             assert Shot.from_dict(bent()).solve().recalled is recalled
         assert len([warning for warning in caught if "slides" in str(warning.message)]) == 1
+
+
+def test_cameras_are_solved_again_only_after_what_moves_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not after a note, but after a change of their rigs and of the motion; warnings are repeated."""
+    solve, filmed = framing.solve_camera, list[str]()
+
+    def counted(rig: Any, *given: Any) -> Any:
+        filmed.append(rig.name)
+        warnings.warn("too low", stacklevel=1)
+        return solve(rig, *given)
+
+    monkeypatch.setattr(framing, "solve_camera", counted)
+    note, lens, later = {"frame": 1001, "text": "go"}, {"lens_mm": 50.0}, 1061
+    pictures, counts = [], []
+    for changes in ((), [(("note",), [note])], [(("camera",), [lens])], [((*MARK, "frame"), later)]):
+        with pytest.warns(UserWarning, match="too low"):
+            take = Shot.from_dict(bent(*changes)).solve()
+        counts.append(len(filmed))
+        pictures.append([(camera.positions.tobytes(), camera.orientations.tobytes()) for camera in take.cameras])
+        assert take.cameras[0].lens_mm == (50 if lens in dict(changes).get(("camera",), ()) else 35)
+    assert counts == [1, 1, 2, 3] and pictures[0] == pictures[1] and pictures[0] != pictures[3]
 
 
 def test_failures_and_machine_dependent_motion_are_not_cached(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

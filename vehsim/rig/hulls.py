@@ -70,20 +70,26 @@ def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
 def hull_moments(points: Array) -> tuple[float, Array, Array]:
     """Volume m^3, centre (3,) m, and inertia (3, 3) m^5 about it, of the convex hull of points (n, 3) at unit density.
     For flat points all are zero and the centre is their mean."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    middle = points.mean(axis=0)
-    try:
-        # (n, 3, 3): tetrahedra whose fourth corner is the origin
-        corners = points[ConvexHull(points).simplices] - middle
-    except QhullError:
+    middle, (faces,) = points.mean(axis=0), kept_arrays("hull_faces", [points], lambda: [_faces(points)])
+    if not len(faces):
         return 0.0, middle, np.zeros((3, 3))
+    corners = points[faces] - middle  # (n, 3, 3): tetrahedra whose fourth corner is the origin
     volumes, sums = np.abs(np.linalg.det(corners)) / 6, corners.sum(axis=1)
     volume = float(volumes.sum())
     centre = volumes @ sums / (4 * volume)
     second = np.einsum("n,nki,nkj->ij", volumes, corners, corners) + np.einsum("n,ni,nj->ij", volumes, sums, sums)
     second = second / 20 - volume * np.outer(centre, centre)
     return volume, middle + centre, np.trace(second) * np.eye(3) - second
+
+
+def _faces(points: Array) -> Any:
+    """The corners (n, 3) of the triangles of the convex hull of ``points``, as indices; none if they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(ConvexHull(points).simplices)
+    except QhullError:
+        return np.zeros((0, 3), int)
 
 
 def convex_hulls(clouds: Sequence[Array]) -> list[Array]:

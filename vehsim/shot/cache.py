@@ -1,4 +1,5 @@
-"""The cache of solved motion, by content: after a change of only cameras, pictures or exports, nothing is solved again.
+"""The caches of solved motion and of cameras, by content: after a change of only pictures or exports, nothing is solved
+again; after one of cameras, they are.
 
 The key covers everything that determines the motion: vehicles with their files, world, marks, frame rate and frames,
 the code and its libraries. Motion that depends on the machine (`time_limit`) or on laws that a script added to vehsim
@@ -14,20 +15,22 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from vehsim.errors import InputError
-from vehsim.runtime.cache import content_of, lookup, packed, store, unpacked
+from vehsim.runtime.cache import content_of, kept, lookup, packed, store, unpacked
 from vehsim.runtime.code import code
 from vehsim.runtime.registry import Registry
 
 if TYPE_CHECKING:
+    from vehsim.cameras.camera import Camera, CameraRig
     from vehsim.clip.clip import Clip
     from vehsim.shot.schema.shot_file import ShotFile
     from vehsim.vehicles import Vehicle
 
+T = TypeVar("T")
 SolvedMotion = tuple[dict[str, "Clip"], dict[str, Any]]
 """Clips and reports by vehicle, for `Shot.solve`."""
 KIND = "motion"
@@ -104,19 +107,47 @@ def _extended() -> bool:
 
 def _solved(solve: Callable[[], SolvedMotion]) -> bytes:
     """Motion and warnings of ``solve`` as bytes. Its exception is passed on, after its warnings."""
+    (clips, reports), texts = _with_warnings(solve)
+    header = {"clips": list(clips), "reports": reports, "warnings": texts}
+    parts = [json.dumps(header, default=_plain).encode(), *(clip.to_bytes(ending=True) for clip in clips.values())]
+    return packed([np.frombuffer(part, np.uint8) for part in parts])
+
+
+def filmed(rigs: Iterable[CameraRig], solve: Callable[[CameraRig], Camera], key: str | None) -> list[Camera]:
+    """The camera of each rig, cached under what else determines it; a ``key`` of None disables the cache. Warnings are
+    repeated."""
+    return [solve(rig) if key is None else _filmed(rig, solve, key) for rig in rigs]
+
+
+def _filmed(rig: CameraRig, solve: Callable[[CameraRig], Camera], key: str) -> Camera:
+    from vehsim.cameras.camera import Camera
+
+    def made() -> bytes:
+        camera, texts = _with_warnings(lambda: solve(rig))
+        about = {"aperture_mm": camera.aperture_mm, "lens_mm": camera.lens_mm, "warnings": texts}
+        parts = np.frombuffer(json.dumps(about).encode(), np.uint8), camera.frames, camera.positions
+        return packed([*parts, camera.orientations])
+
+    header, frames, positions, orientations = unpacked(kept("camera", (key, rig), made))
+    about = json.loads(header.tobytes())
+    for text in about["warnings"]:
+        warnings.warn(text, stacklevel=5)
+    return Camera(rig.name, frames, positions, orientations, about["lens_mm"], tuple(about["aperture_mm"]))
+
+
+def _with_warnings(make: Callable[[], T]) -> tuple[T, list[str]]:
+    """The result of ``make`` and vehsim's own warnings; others are passed on, all of them if it raises an exception."""
     caught: list[warnings.WarningMessage] = []
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            clips, reports = solve()
+            made = make()
     except BaseException:
         _issue(caught)
         raise
     ours = [w for w in caught if issubclass(w.category, UserWarning)]
     _issue([w for w in caught if w not in ours])  # a library's warning on this occasion
-    header = {"clips": list(clips), "reports": reports, "warnings": [str(w.message) for w in ours]}
-    parts = [json.dumps(header, default=_plain).encode(), *(clip.to_bytes(ending=True) for clip in clips.values())]
-    return packed([np.frombuffer(part, np.uint8) for part in parts])
+    return made, [str(w.message) for w in ours]
 
 
 def _issue(caught: list[warnings.WarningMessage]) -> None:

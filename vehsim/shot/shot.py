@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -607,10 +608,16 @@ class Shot:
         from vehsim.cameras.camera import CameraRig
         from vehsim.cameras.cuts import CUT, cut
         from vehsim.cameras.framing import solve_camera
+        from vehsim.cameras.rigs import RIGS
+        from vehsim.shot.cache import filmed, motion_key
 
         width, height = self.render.panel(len(self.render.cameras or self.file.camera))
         rigs: list[CameraRig] = [CameraRig(**camera.model_dump(exclude_unset=True)) for camera in self.file.camera]
-        cameras = [solve_camera(rig, clips, self.world, frames, width / height) for rig in rigs]
+        aspect, key = width / height, None
+        if not RIGS.has_additions and (made_of := motion_key(self.file, self.motion_files(), self.world.content_hash)):
+            moves = [sha256(clip.to_bytes()).hexdigest() for clip in clips.values()]
+            key = repr((made_of, moves, frames, aspect))
+        cameras = filmed(rigs, lambda rig: solve_camera(rig, clips, self.world, frames, aspect), key)
         if self.cuts:
             cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, self.cuts))
         return tuple(cameras)
