@@ -153,13 +153,18 @@ def _swing(attribute: Any, times: Sequence[float]) -> tuple[float, float, float]
     """By how many degrees a spline turns back between two of its knots at ``times``, and these; None if it does not.
 
     Only knots count that turn on by `ROLLS` at least, and go on before and after: slower parts may swing back there.
+    Before its first angle and beyond its last one, the part may swing.
     """
-    steps = np.diff(_angles(attribute, times))
-    for k in range(1, len(steps) - 1):
-        if abs(steps[k]) < ROLLS or not (np.sign(steps[k - 1 : k + 2]) == np.sign(steps[k])).all():
+    angles = _angles(attribute, times)
+    steps = np.diff(angles)
+    ways = np.sign(np.concatenate([steps[:1], steps, steps[-1:]]))
+    for k, step in enumerate(steps):
+        if abs(step) < ROLLS or not (ways[k : k + 3] == ways[k + 1]).all():
             continue
         inside = np.linspace(times[k], times[k + 1], WITHIN + 1)[:-1]  # a knot may end one value and begin another
-        turned = np.sign(steps[k]) * _angles(attribute, inside.tolist())
+        low = angles[0] if k == 0 else -np.inf * step
+        high = angles[-1] if k == len(steps) - 1 else np.inf * step
+        turned = np.sign(step) * np.clip(_angles(attribute, inside.tolist()), *sorted((low, high)))
         if (back := float((np.maximum.accumulate(turned) - turned).max())) > SWINGS:
             return back, times[k], times[k + 1]
     return None

@@ -236,8 +236,11 @@ PARKING = [(1, 0), (21, 500), (41, 200), (61, 700)]
     ("points", "slope", "message"),
     [
         (STEADY, 30.0, ""),
-        (STEADY, 150.0, "between its keys at time codes 11 and 21"),  # the tangents are five times too steep
-        (STEADY, -30.0, "between its keys at time codes 11 and 21"),
+        (STEADY, 150.0, "between its keys at time codes 1 and 11"),  # the tangents are five times too steep
+        (STEADY, -30.0, "between its keys at time codes 1 and 11"),
+        (STEADY[:3], -30.0, "between its keys at time codes 1 and 11"),
+        ([(1, 0), (21, -500), (41, -1000)], 40.0, "between its keys at time codes 1 and 21"),
+        ([(1, 0), (21, 500), (41, 1000), (61, 1200)], 0.0, ""),
         (PARKING, 0.0, ""),  # a wheel that rolls forwards, back and forwards again
         ([(1 + 10 * k, (300 * k) % 360) for k in range(9)], 30.0, "degrees after time code"),
         ([(1.0 + 10 * k, 8.0 * k) for k in range(5)], 8.0, ""),  # steering that swings
