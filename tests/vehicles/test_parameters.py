@@ -36,6 +36,34 @@ def test_every_parameter_of_a_shipped_model_has_a_unit(model: str) -> None:
 
 
 @pytest.mark.parametrize("name", available())
+def test_every_number_of_a_shipped_vehicle_has_a_unit_and_a_range(name: str) -> None:
+    """Nonsense is refused by key, unit and range, and a slightly different number is taken."""
+    for key, value, words in parameters_of(name):
+        if isinstance(value, str):
+            continue
+        assert "SI units" not in words, key
+        for wrong in (math.nan, 1e200, "much", True):
+            with pytest.raises(InputError) as raised:
+                load_vehicle(name, nested(key, with_all(value, lambda _, wrong=wrong: wrong)))
+            for problem in raised.value.problems:
+                assert problem.key.startswith(f"parameters.{key}") and "SI units" not in problem.remedy, problem
+        other = load_vehicle(name, nested(key, with_all(value, lambda x: x if x in (0, 1) else 0.99 * x)))
+        assert other.parameters == nested(key, with_all(value, lambda x: x if x in (0, 1) else 0.99 * x))
+
+
+def with_all(value: Any, change: Any) -> Any:
+    """A number, or each number of nested lists, changed."""
+    return [with_all(one, change) for one in value] if isinstance(value, list | tuple) else change(value)
+
+
+def nested(key: str, value: Any) -> dict[str, Any]:
+    """The parameters with a ``value`` at a dotted key."""
+    for name in reversed(key.split(".")):
+        value = {name: value}
+    return dict(value)
+
+
+@pytest.mark.parametrize("name", available())
 def test_parameters_equal_to_the_file_change_nothing(name: str) -> None:
     """The listed values, given back as parameters, give the same vehicle."""
     given: dict[str, Any] = {}
@@ -87,6 +115,11 @@ def test_parameters_come_as_numpy_arrays_too() -> None:
         ({"rolling_damping": -2}, "rolling_damping", "at least 0", "N m s/rad"),
         ({"controls": {"torque": {"lower": 1e5}}}, "controls.torque.lower", "above upper", "swap"),
         ({"controls": {"thrust": {}}}, "controls.thrust", "unknown key", "torque"),
+        ({"controls": {"torque": {"lower": "full"}}}, "controls.torque.lower", "not a number", "in N m"),
+        ({"controls": {"torque": {"upper": 1e13}}}, "controls.torque.upper", "beyond 1e+12", "in N m"),
+        ({"joints": {"sigma": {"upper": -1e300}}}, "joints.sigma.upper", "beyond 1e+12", "without a unit"),
+        ({"actuators": {"torque": {"rate": 1e200}}}, "actuators.torque.rate", "beyond 1e+12", "per second"),
+        ({"top_speed": 1e300}, "top_speed", "beyond 1e+12", "m/s"),
         ({"joints": {"sigma": {"lower": 3}}}, "joints.sigma.lower", "not below upper", "swap"),
         ({"suspension": {"frequency": -1}}, "suspension.frequency", "greater than 0", "Hz"),
         ({"top_speed": -4}, "top_speed", "greater than 0", "m/s"),

@@ -29,6 +29,8 @@ def _is_number(value: Any) -> bool:
 def _bound(value: Any) -> float:
     if not _is_number(value) or math.isnan(value):
         raise ValueError("not a number")
+    if LARGEST < abs(value) < math.inf:
+        raise ValueError(f"beyond {LARGEST:g}")
     return float(value)
 
 
@@ -67,12 +69,14 @@ Op = Literal["rotateX", "rotateY", "rotateZ", "translateX", "translateY", "trans
 
 
 class BoundsTable(Table):
-    """``[joints.NAME]``"""
+    """``[joints.NAME]``, and what it shares with ``[controls.NAME]``"""
 
     lower: Bound = -math.inf
     """its least value, in SI units"""
     upper: Bound = math.inf
     """its greatest value, in SI units"""
+    unit: str = ""
+    """its unit, such as "N m", or "1" for a pure number"""
 
 
 class ControlTable(BoundsTable):
@@ -80,8 +84,6 @@ class ControlTable(BoundsTable):
 
     scale: Annotated[Positive, Field(ge=1e-9)] = 1.0
     """the size of a typical value, above zero"""
-    unit: str = ""
-    """its unit, such as "N m\""""
 
 
 class ActuatorTable(Table):

@@ -33,6 +33,7 @@ from vehsim.vehicles.library.parameters import (
     blamed,
     check_parameters,
     check_physics,
+    in_unit,
     physics_table,
     replaced,
     words_of,
@@ -95,7 +96,7 @@ def load_vehicle(name: str | Path, parameters: Mapping[str, Any] | None = None) 
     except InputError as error:
         if not given:
             raise
-        raise type(error).of(*(blamed(problem, given) for problem in error.problems)) from None
+        raise type(error).of(*(blamed(problem, given, data) for problem in error.problems)) from None
 
 
 def parameters_of(name: str | Path) -> Iterator[tuple[str, Any, str]]:
@@ -115,7 +116,7 @@ def parameters_of(name: str | Path) -> Iterator[tuple[str, Any, str]]:
         yield f"{key}.lag", actuator.lag, f"in s{why}"
     for joint, bounds in vehicle.joint_limits.items():
         for bound, value in zip(("lower", "upper"), bounds, strict=True):
-            yield f"joints.{joint}.{bound}", value, "in SI units"
+            yield f"joints.{joint}.{bound}", value, in_unit(data, "joints", joint)
     for key, field in SuspensionTable.model_fields.items() if "suspension" in data else ():
         yield f"suspension.{key}", data["suspension"].get(key, field.default), words_of(SuspensionTable, key)
     for key in TOPS:

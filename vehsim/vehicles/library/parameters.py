@@ -10,6 +10,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, Gt, Len
@@ -69,8 +70,18 @@ def replaced(data: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str
     return merged(data, {**beside, **({PHYSICS: physics} if physics else {})})
 
 
-def blamed(problem: Problem, parameters: Mapping[str, Any]) -> Problem:
-    """A problem of a ``vehicle.toml``, under the key of ``parameters`` if its value is from there."""
+def in_unit(data: Mapping[str, Any], kind: str, name: str) -> str:
+    """The unit of a control or joint in words, as the data of a ``vehicle.toml`` state it."""
+    unit = data.get(kind, {}).get(name, {}).get("unit", "")
+    return "without a unit" if unit == "1" else f"in {unit or 'SI units'}"
+
+
+def blamed(problem: Problem, parameters: Mapping[str, Any], data: Mapping[str, Any] = MappingProxyType({})) -> Problem:
+    """A problem of a ``vehicle.toml`` with ``data``, under the key of ``parameters`` if its value is from there, with
+    its unit."""
+    inside = problem.key.removeprefix("parameters.").split(".")
+    if inside[0] in ("controls", "joints") and len(inside) > 2:
+        problem = replace(problem, remedy=problem.remedy.replace("in SI units", in_unit(data, *inside[:2])))
     path = problem.key.removeprefix(f"{PHYSICS}.").split(".")
     node: Any = parameters
     for name in path[:2] if path[0] in BESIDE else path[:1]:
