@@ -2,13 +2,12 @@
 
 Every pixel's point is moved from the depth buffer onto the triangle that it shows, so that flow is exact to the poses,
 not to the steps of the buffer. Flow is in pixels, u to the right and v up, to the place of the same point of the same
-part one frame later (forward) and earlier (backward). The sky moves with the camera's rotation. Beyond the first and
-the last frame nothing moves.
+part one frame later (forward) and earlier (backward). Water moves with the points of its surface, the sky with the
+camera's rotation. Beyond the first and the last frame nothing moves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from vehsim.errors import InputError
 
 if TYPE_CHECKING:
-    from vehsim.exporters.usd.stage import Shape, StageReader, View
+    from vehsim.exporters.usd.stage import StageReader, View
 
 Array = NDArray[np.float64]
 
@@ -32,30 +31,41 @@ class Pixels:
     """The points that the pixels of a picture show.
 
     ``shapes`` (h, w): index of the stage's shape, -1: background, -2: water; ``depth`` (h, w) m along the view; both
-    from the top row down. ``poses``: T_wg of every group at the picture's frame.
+    from the top row down.
     """
 
-    def __init__(
-        self, stage: StageReader, view: View, shapes: NDArray[np.int64], depth: Array, poses: Mapping[str, Array]
-    ) -> None:
-        self._stage, self._view, self._shapes, self._poses = stage, view, shapes, dict(poses)
+    def __init__(self, stage: StageReader, camera: str, frame: float, shapes: NDArray[np.int64], depth: Array) -> None:
+        view = stage.camera(camera, frame)
+        self._stage, self._camera, self._view, self._shapes = stage, camera, view, shapes
+        self._poses = stage.matrices(frame)
         self._size = shapes.shape[1], shapes.shape[0]
         self.rays = _rays(view, self._size)  # world axes, of length 1 along the view
         self.normals = np.zeros((*shapes.shape, 3))
         points = np.where((shapes == -1)[..., None], self.rays, view.T_wc[:3, 3] + depth[..., None] * self.rays)
         self.points = np.concatenate([points, (shapes != -1)[..., None].astype(float)], axis=-1)  # 0: at infinity
         for k in np.unique(shapes[shapes >= 0]).tolist():
-            self._settle(stage.shapes[k], shapes == k)
+            shape, mask = stage.shapes[k], shapes == k
+            T_wg = self._poses.get(shape.group, np.eye(4))
+            corners = shape.normals[shape.face_normals]
+            self._settle(mask, shape.points, shape.faces, corners, T_wg)
+        self._water = shapes == -2
+        if self._water.any():
+            points, normals, *_ = stage.water_at(frame)
+            faces = stage.water_net.triangles
+            self._of_water = self._settle(self._water, points, faces, normals[faces], np.eye(4))
+            self._water_points = points
 
-    def _settle(self, shape: Shape, mask: NDArray[np.bool_]) -> None:
-        """Move points onto the triangles of a shape, along their rays, and take its normals there."""
+    def _settle(
+        self, mask: NDArray[np.bool_], vertices: Array, faces: NDArray[Any], corners: Array, T_wg: Array
+    ) -> tuple[NDArray[Any], Array]:
+        """Move points onto triangles with the pose ``T_wg``, along their rays, and take the normals there, from those
+        of the triangles' ``corners`` (m, 3, 3); returns each point's vertices (n, 3) and their weights (n, 3)."""
         import igl
 
-        T_wg = self._poses.get(shape.group, np.eye(4))
         R, eye = T_wg[:3, :3], (self._view.T_wc[:3, 3] - T_wg[:3, 3]) @ T_wg[:3, :3]
         near = (self.points[mask][:, :3] - T_wg[:3, 3]) @ R
         rays = self.rays[mask] @ R
-        vertices, faces = np.ascontiguousarray(shape.points), np.ascontiguousarray(shape.faces)
+        vertices, faces = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces)
         tree = igl.AABB()
         tree.init(vertices, faces)
         _, face, _ = tree.squared_distance(vertices, faces, near)
@@ -68,17 +78,23 @@ class Pixels:
         there = np.where(good[:, None], there, near)
         self.points[mask, :3] = there @ R.T + T_wg[:3, 3]
         weights = _barycentric(there, a, b, c)
-        normals = np.einsum("nk,nki->ni", weights, shape.normals[shape.face_normals[face]])
+        normals = np.einsum("nk,nki->ni", weights, corners[face])
         normals *= np.where(np.einsum("ni,ni->n", normals, rays) > 0, -1.0, 1.0)[:, None]  # the side that is seen
         self.normals[mask] = (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)) @ R.T
+        return faces[face], weights
 
-    def flow(self, view: View, poses: Mapping[str, Array]) -> Array:
-        """Pixels (h, w, 2) from here to where the same points are with other ``poses``, seen by ``view``."""
+    def flow(self, frame: float) -> Array:
+        """Pixels (h, w, 2) from here to where the same points are at another time code, seen by the same camera."""
+        view, poses = self._stage.camera(self._camera, frame), self._stage.matrices(frame)
         moved = self.points.copy()
         for group, T_wg in self._poses.items():
             shapes = [k for k, shape in enumerate(self._stage.shapes) if shape.group == group]
             mask = np.isin(self._shapes, shapes)
             moved[mask] = self.points[mask] @ (poses[group] @ np.linalg.inv(T_wg)).T
+        if self._water.any():
+            corners, weights = self._of_water
+            steps = self._stage.water_at(frame)[0] - self._water_points
+            moved[self._water, :3] += np.einsum("nk,nki->ni", weights, steps[corners])
         return _pixels(view, moved, self._size) - _pixels(self._view, self.points, self._size)
 
 

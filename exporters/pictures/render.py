@@ -130,11 +130,11 @@ class StageRenderer:
         if {"flow", "normals"} & {*kinds}:
             names = [self._model.geom(k).name for k in range(self._model.ngeom)]
             of_shape = np.array([*(int(n.removeprefix("shape")) if n != "water" else -2 for n in names), -1])
-            pixels = Pixels(self.stage, view, of_shape[of_geom], away.astype(float), self.stage.matrices(frame))
+            pixels = Pixels(self.stage, camera, frame, of_shape[of_geom], away.astype(float))
             drawings["normals"] = pixels.normals
             first, last = self.stage.frames
             beside = [min(max(frame + step, first), last) for step in (1, -1)] if "flow" in kinds else []
-            flows = [pixels.flow(self.stage.camera(camera, at), self.stage.matrices(at)) for at in beside]
+            flows = [pixels.flow(at) for at in beside]
             drawings["flow"] = np.concatenate(flows, axis=-1) if flows else pixels.normals
         return {kind: drawings[kind] for kind in kinds}
 

@@ -567,3 +567,49 @@ def test_whitecaps_do_not_depend_on_the_frames_asked_for():
     for one, other in zip(whole[60:], end, strict=True):
         assert (one[2] == other[2]).all()
     assert whole[-1][2].max() > 0.5
+
+
+def test_water_flows_with_the_points_of_its_surface(shown):
+    """Beside the pixels' own geometry: where the surface's points are seen one frame later and earlier, from the stage
+    and a pinhole camera. Bound: 0.05 pixel."""
+    take, path = shown
+    frame, (width, height) = 1010, take.render.size
+    stage = StageReader(path)
+    renderer = StageRenderer(stage, (width, height))
+    try:
+        passes = renderer.passes("low", frame, ["flow", "normals", "depth"])
+        flow, normals, depth = (passes[kind].astype(float) for kind in ("flow", "normals", "depth"))
+    finally:
+        renderer.close()
+    here, upright = stage.water_at(frame)[:2]
+
+    def seen(points, at):
+        """Columns and rows of pixels' centres, and depths, of points (n, 3) at a frame."""
+        view = stage.camera("low", at)
+        own = (points - view.T_wc[:3, 3]) @ view.T_wc[:3, :3]
+        x, y = (own[:, :2] / -own[:, 2:] / view.half_width).T
+        return (x + 1) * width / 2 - 0.5, height / 2 - y * width / 2 - 0.5, -own[:, 2]
+
+    column, row, away = seen(here, frame)
+    there = (column > 1) & (column < width - 2) & (row > 1) & (row < height - 2) & (away > 1) & (away < 15)
+    there &= np.abs(here[:, 1]) > 3.5  # not at the boat
+    x, y = column[there], row[there]
+    i, j = np.floor(y).astype(int), np.floor(x).astype(int)
+    u, v = (x - j)[:, None], (y - i)[:, None]
+
+    def between(image):
+        image = image.reshape(height, width, -1)
+        upper = (1 - u) * image[i, j] + u * image[i, j + 1]
+        return (1 - v) * upper + v * ((1 - u) * image[i + 1, j] + u * image[i + 1, j + 1])
+
+    visible = np.abs(between(depth)[:, 0] - away[there]) < 0.1
+    assert visible.sum() > 200
+    found = between(flow)[visible]
+    for k, step in enumerate((1, -1)):
+        columns, rows, _ = seen(stage.water_at(frame + step)[0][there][visible], frame + step)
+        expected = np.stack([columns - x[visible], y[visible] - rows], axis=1)
+        off = np.linalg.norm(found[:, 2 * k : 2 * k + 2] - expected, axis=1)
+        still, _, _ = seen(here[there][visible], frame + step)
+        assert np.abs(columns - still).max() > 0.2, "the waves move it, not only the camera"
+        assert np.quantile(off, 0.99) < 0.05, (step, off.max())
+    assert np.quantile(np.abs(between(normals)[visible] - upright[there][visible]).max(axis=1), 0.99) < 0.05
