@@ -143,7 +143,7 @@ def test_a_state_from_a_step_may_be_changed_copied_and_sent(name):
 
 
 @needs_compiler
-@pytest.mark.parametrize("what", ["folder", "library", "link"])
+@pytest.mark.parametrize("what", ["folder", "above", "library", "link"])
 def test_machine_code_that_others_can_write_is_not_run(what, cache, recwarn):
     """A folder of other users is not used; a library in ours is built again."""
     start, controls = State(twist=(0, 5.0, 0)), table("car", 10)
@@ -161,11 +161,12 @@ def test_machine_code_that_others_can_write_is_not_run(what, cache, recwarn):
             path.chmod(0o666 if what == "library" else 0o600)
     before = {path: path.read_bytes() for path in cache.iterdir()}
     cache.chmod(0o777 if what == "folder" else 0o700)
+    cache.parent.chmod(0o777 if what == "above" else 0o700)
     again = Integrator(fresh("car"), H, compiled=True)
     same(again.rollout(start, controls), plain)
     texts = [str(w.message) for w in recwarn if "other users can write" in str(w.message)]
-    if what == "folder":
-        assert len(texts) == 1 and f"chmod go-w {cache}" in texts[0]
+    if what in ("folder", "above"):
+        assert len(texts) == 1 and f"chmod go-w {cache if what == 'folder' else cache.parent}," in texts[0]
         assert {path: path.read_bytes() for path in cache.iterdir()} == before
     else:
         libraries = [path for path in cache.iterdir() if path.name != "evil.so"]

@@ -20,7 +20,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from stat import S_ISDIR, S_ISREG, S_IWGRP, S_IWOTH
+from stat import S_ISDIR, S_ISREG, S_ISVTX, S_IWGRP, S_IWOTH
 from typing import Any
 
 import casadi as ca
@@ -82,10 +82,12 @@ def build(function: ca.Function) -> Built | None:
         return None
     source, name = _source(function, " ".join(command))
     library = cache_folder() / "machine-code" / f"{name}.so"
-    if not _is_ours(library.parent):
-        remedy = f"chmod go-w {library.parent}, remove it, or give another VEHSIM_CACHE"
-        _warn_once(f"other users can write to {library.parent}: no code in it is run; {remedy}; continuing without it")
-        return None
+    # who can rename a folder can put another in its place; many systems let a private group write new folders
+    for folder, who in ((cache_folder().resolve(), S_IWOTH), (library.parent, S_IWGRP | S_IWOTH)):
+        if not _is_ours(folder, who):
+            remedy = f"chmod go-w {folder}, remove it, or give another VEHSIM_CACHE"
+            _warn_once(f"other users can write to {folder}: no code in it is run; {remedy}; continuing without it")
+            return None
     if not (library.is_file() and _is_ours(library) and _loads(library)):
         try:
             _compile(source, library, command)
@@ -96,8 +98,9 @@ def build(function: ca.Function) -> Built | None:
     return Built(library, name)
 
 
-def _is_ours(path: Path) -> bool:
-    """Check that only this user or the system can write the file; a folder that does not exist yet is ours.
+def _is_ours(path: Path, who: int = S_IWGRP | S_IWOTH) -> bool:
+    """Check that only this user or the system can write the file, by the bits ``who``; a folder that does not exist
+    yet is ours.
 
     Links are not followed, because their target could change at any time.
     """
@@ -108,7 +111,8 @@ def _is_ours(path: Path) -> bool:
     except FileNotFoundError:
         return True
     plain = S_ISDIR(stat.st_mode) or S_ISREG(stat.st_mode)
-    return plain and stat.st_uid in (os.getuid(), 0) and not stat.st_mode & (S_IWGRP | S_IWOTH)
+    sticky = S_ISDIR(stat.st_mode) and stat.st_mode & S_ISVTX  # such as /tmp: others can neither rename nor delete ours
+    return plain and stat.st_uid in (os.getuid(), 0) and bool(sticky or not stat.st_mode & who)
 
 
 def _source(function: ca.Function, command: str) -> tuple[str, str]:
