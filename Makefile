@@ -20,7 +20,7 @@ help:
 	@echo "make bench-integrators  measure the claims of the papers; writes benchmarks/RESULTS.md"
 	@echo "make bench-order        free bodies: CPU time to a given error, against RK4; writes RESULTS.order.md (two minutes)"
 	@echo "make bench-planning     measure plans: building, free space, canyon, replanning; writes RESULTS.planning.md"
-	@echo "make bench-live         drag marks of live sessions through the protocol; writes RESULTS.live.md"
+	@echo "make bench-live         drag marks of live sessions through the protocol, and open the examples; writes RESULTS.live.md, RESULTS.openings.md"
 	@echo "make bench-unseen       plan 1,600 random problems: the share certified, and why the others failed (hours; resumes)"
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
 	@echo "make bench-peers        plan beside Drake and CasADi; writes RESULTS.peers.md (three minutes)"
@@ -92,6 +92,7 @@ bench-planning: setup
 
 bench-live: setup
 	$(BIN)/python -m benchmarks.live
+	$(BIN)/python -m benchmarks.openings
 
 bench-unseen: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ompl>=2,<3'

@@ -145,7 +145,7 @@
   function tick(now) {
     if (!driven) return;
     requestAnimationFrame(tick);
-    const most = RAMP * Math.min((now - (before || now)) / 1000, 0.1), game = gamepad();
+    const most = RAMP * Math.min((now - (before || now)) / 1000, 1 / RAMP), game = gamepad(); // a slow page too
     before = now;
     values = values.map((_, c) => {
       let wanted = 0;
