@@ -64,13 +64,17 @@ HEAD = [
     "|---|---|---|---|---|---|---|---|---|",
 ]
 DROPPED = """
+Totals again on 2026-11-26, medians of 3 to 7 first plans in forked processes, in alternating pairs, load 3 to 9: since
+easy problems are solved at once at order 4, CasADi's total over that of `vehsim.plan` is 1.07 to 1.18 (quadrotor), 0.85
+(car) and 1.8 to 1.9 (helicopter). Before that, in such pairs: 0.93 to 0.97, 0.65 to 0.69 and 0.91 to 0.92.
+
 At equal executed error (2026-11-25, load 10), prebuilt shooting with fatrop over ours by IPOPT and by fatrop: car, 42
 segments for its 64, 1.00 and 1.7; quadrotor, 54 for its 32, 0.49 and 0.51; helicopter, 40 for its 32, 1.53 and 1.24.
 
 ## Tried and dropped
 
 - acados: it does not install from PyPI.
-- The first solve at order 4, or on 16 segments: see `RESULTS.planning.md`.
+- The first solve at order 4 wherever it is slow, or on 16 segments: see `RESULTS.planning.md`.
 - fatrop on the problems of `vehsim.plan`, without a structure by stages: no faster than IPOPT. By stages
   (`benchmarks/staged.py`) it is in the table: 1.3 to 1.4 times as fast as IPOPT for car and quadrotor, half as fast
   for the helicopter, where it reaches the optimum in 17 iterations and cannot lower the dual residual to 1e-8. Since

@@ -17,6 +17,7 @@ from vehsim.planning import Mark, Plan, planner
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.costs import RunningCosts
+from vehsim.planning.problem.solver import Patience
 from vehsim.planning.request.character import control_rates, traits_of
 from vehsim.planning.request.request import make_request
 from vehsim.planning.trim import trim
@@ -153,8 +154,9 @@ def test_marks_on_hills_that_need_a_stunt_are_recognised_in_few_iterations(monke
 
 
 def test_comparison_with_a_stunt_changes_no_motion_that_suits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner, "AT_ONCE", Patience(0))
     usual = drive("normal")
-    monkeypatch.setattr(planner, "QUICK", 1)
+    monkeypatch.setattr(planner, "QUICK", Patience(1))
     compared = drive("normal")
     assert compared.iterations > usual.iterations
     np.testing.assert_array_equal(compared.clip.controls, usual.clip.controls)

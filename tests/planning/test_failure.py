@@ -342,7 +342,8 @@ def test_nothing_is_solved_again_after_the_time_limit(monkeypatch, character):
 
 def test_a_refinement_out_of_time_keeps_the_coarser_plan(monkeypatch):
     """The finer solve fails: the coarser plan is returned, and the message says so."""
-    from vehsim.planning import refine
+    from vehsim.planning import planner, refine
+    from vehsim.planning.problem.solver import Patience
 
     solve = refine.solve
 
@@ -352,6 +353,7 @@ def test_a_refinement_out_of_time_keeps_the_coarser_plan(monkeypatch):
         return replace(solved, solution=replace(solved.solution, success=False)) if fine else solved
 
     monkeypatch.setattr(refine, "solve", failing)
+    monkeypatch.setattr(planner, "AT_ONCE", Patience(0))
     marks = [Mark(1, position=REST, velocity=REST), Mark(73, position=(6, 2, 0), heading=90, velocity=REST)]
     plan = vehsim.plan(tug(), None, marks, segments=8, character="stunt")
     assert plan.success and plan.order == 2 and "not refined to 8 segments of order 4" in plan.message

@@ -123,6 +123,39 @@ def test_a_refined_plan_is_whole_segments_of_order_four(flight):
     assert flight.executed.final < 0.02
 
 
+@pytest.mark.parametrize("name, heading, order", [("helicopter_lie", 20, [4]), ("boat", 150, [4, 2, 4])])
+def test_easy_problems_are_solved_at_once(name, heading, order, monkeypatch):
+    """With the same motion as on few segments first; what is not easy goes on there, as if nothing had been tried."""
+    from vehsim.planning import planner, solve
+    from vehsim.planning.problem.solver import Patience
+
+    solved, answer = [], solve._answer
+
+    def note(run, iterate, *more):
+        solved.append(iterate.layout.order)
+        return answer(run, iterate, *more)
+
+    monkeypatch.setattr(solve, "_answer", note)
+    height, vehicle = 30 if name != "boat" else 0, vehsim.load_vehicle(name)
+    marks = [Mark(1, position=(0, 0, height), heading=0, velocity=REST)]
+    marks.append(Mark(241, position=(16, 3, height), heading=heading, velocity=REST))
+    made = [vehsim.plan(vehicle, None, marks, segments=32, character="stunt")]
+    assert solved == order
+    monkeypatch.setattr(planner, "AT_ONCE", Patience(0))
+    made.append(vehsim.plan(vehicle, None, marks, segments=32, character="stunt"))
+    assert all(plan.success and plan.order == 4 and plan.segments == 32 for plan in made)
+    np.testing.assert_allclose(made[0].clip.positions, made[1].clip.positions, atol=1e-4)
+
+
+def test_patience_ends_halfway_if_constraints_are_missed_by_far():
+    from vehsim.planning.problem.solver import ENDLESS, Patience
+
+    patience = Patience(20, halfway=1e-2)
+    assert next(k for k in range(1, 30) if patience.ends(k, lambda: 0.1)) == 10
+    assert next(k for k in range(1, 30) if patience.ends(k, lambda: 1e-3)) == 21
+    assert not any(ENDLESS.ends(k, lambda: 0.1) for k in range(1000))
+
+
 def test_executed_motion_ends_where_planned(flight):
     assert flight.executed.final < 0.1 and flight.executed.mean <= flight.executed.largest
 

@@ -35,17 +35,18 @@ from vehsim.planning.fallbacks import (
 from vehsim.planning.guesses.routes import as_clip, find_paths, reversing, roundabout, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
-from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET
+from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET, Patience
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.refine import ends_elsewhere, largest_error, settle_on_frames, to_requested_segments
+from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS, Traits
+from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import facing, same_headings
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import facing_clear
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, nearby, restrain, without_character
-from vehsim.planning.solve import begin, give_up, solve
+from vehsim.planning.solve import COARSE, begin, give_up, solve
 from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
 from vehsim.requests import Ask
@@ -74,8 +75,10 @@ TOPS = {
 TOO_HARD = 1.5
 """Ratio of a motion to a limit of its character above which the next harder character is the better choice: easing in
 and out of rest would take time that the rest of the motion needs, which then is harder than a stunt."""
-QUICK = 60
-"""Iterations after which a solve in a character is compared with a stunt."""
+QUICK = Patience(60)
+"""That of a solve in a character, after which it is compared with a stunt."""
+AT_ONCE = Patience(20, halfway=1e-2)
+"""That of a solve at once on the requested segments, refined: easy problems need 5 to 16 iterations there."""
 STRAINED, WORTH = 1.15, 0.9
 """Where the spheres around a vehicle press on a motion that exceeds a limit of its character by this ratio, its hulls
 are used instead, if they reduce the ratio by this factor or more."""
@@ -441,14 +444,19 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     except OutOfTime as error:
         paths, cover, late = straight(request), None, f" ({error})"
     refused = "; ".join(map(str, refusals(request)))
-    iterate = begin(run, _facing(request, paths), transcription, cover, paths, as_clip(request, guess))
+    faced, easy = _facing(request, paths), not once and _is_easy(request, cover)
+    iterate = begin(run, faced, transcription, cover, paths, as_clip(request, guess), coarse=not easy)
     if refused or run.deadline.hopeless:
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     clearance = iterate.block(Clearance)
     if clearance is not None and clearance.squeezes(iterate):
         iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
-    patient = math.isinf(request.deadline) and request.max_iterations > QUICK
+    if easy:
+        iterate = _at_once(run, iterate)
+    if easy and not iterate.success:  # few segments of order 2 are a shorter way, and often to a better motion
+        iterate = begin(run, faced, transcription, cover, paths, as_clip(request, guess))
+    patient = math.isinf(request.deadline) and request.max_iterations > QUICK.most
     stunt = untried = None
     if early and patient and not iterate.success and request.traits.harder is not None:
         iterate, stunt = _quickly(run, iterate, paths, as_clip(request, guess))
@@ -477,6 +485,21 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     iterate = to_requested_segments(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
+
+
+def _is_easy(request: Request, cover: SphereCover | None) -> bool:
+    """Whether a problem may be solved at once on its segments: in free space, with given frames and all the time."""
+    world = request.world
+    empty = world is None or (world.terrain is None and not world.obstacles)
+    free = cover is None and empty and not landings(request.marks)
+    timed = math.isinf(request.deadline) and not np.isnan(fixed_durations(request.marks, request.fps)).any()
+    return free and timed and request.refine and request.segments < 4 * COARSE
+
+
+def _at_once(run: Run, begun: Iterate) -> Iterate:
+    """A guess on the requested segments solved to the order of refined plans, if that is easy; else unchanged."""
+    solved = solve(run, replace(begun, layout=replace(begun.layout, order=ORDER), rung=0), AT_ONCE)
+    return solved if solved.success else begun
 
 
 def _quickly(run: Run, begun: Iterate, paths: Sequence[Array], clip: Clip | None) -> tuple[Iterate, Iterate | None]:

@@ -62,7 +62,7 @@ def to_requested_segments(run: Run, iterate: Iterate) -> Iterate:
     found = True
     while found and iterate.success and 4 * iterate.layout.segments <= requested:
         iterate, found = _step(run, iterate, requested)
-    if iterate.success and (refined or iterate.layout.segments < requested):
+    if iterate.success and iterate.rung < 0 and (refined or iterate.layout.segments < requested):
         iterate, _ = _climb(run, iterate)
     return replace(iterate, executed=iterate.run_controls())
 

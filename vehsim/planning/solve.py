@@ -23,7 +23,7 @@ from vehsim.planning.guesses.paths import along_clip, along_paths, clip_spans
 from vehsim.planning.iterate import Certificate, Finding, Iterate, Run
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.multipliers import transferred
-from vehsim.planning.problem.solver import End, Solution, Solver, Start
+from vehsim.planning.problem.solver import ENDLESS, End, Patience, Solution, Solver, Start
 from vehsim.planning.problem.solver_cache import common
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.landing import landings
@@ -130,25 +130,25 @@ def give_up(iterate: Iterate, message: str) -> Iterate:
     return replace(iterate, solution=solution, stale=False, certificate=unmeasured)
 
 
-def solve(run: Run, iterate: Iterate, most: float = math.inf) -> Iterate:
+def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
     """Solve from the iterate's variables; the durations of legs to free marks vary until they are fixed.
 
-    A solution that violates inactive constraints activates them, and is solved again from the same start. ``most``:
-    iterations of one solve, after which the iterate is left as it was.
+    A solution that violates inactive constraints activates them, and is solved again from the same start. ``patience``:
+    that of one solve; when it ends, the iterate is left as it was.
     """
-    given, solved = iterate, _solve_active(run, iterate, "guess", most)
+    given, solved = iterate, _solve_active(run, iterate, "guess", patience)
     for _ in range(LOOKS):
-        if run.deadline.late or not (solved.success or math.isinf(most)):
+        if run.deadline.late or not (solved.success or patience is ENDLESS):
             break
         blocks = tuple(block.violated(solved) for block in iterate.blocks)
         if all(new is old for new, old in zip(blocks, iterate.blocks, strict=True)):
             break
         iterate = replace(iterate, blocks=blocks)
-        solved = _solve_active(run, iterate, "again", most)
-    return solved if solved.success or math.isinf(most) else given
+        solved = _solve_active(run, iterate, "again", patience)
+    return solved if solved.success or patience is ENDLESS else given
 
 
-def _solve_active(run: Run, iterate: Iterate, start: Start, most: float) -> Iterate:
+def _solve_active(run: Run, iterate: Iterate, start: Start, patience: Patience) -> Iterate:
     """One solve with the current active sets."""
     began = time.monotonic()
     solver = _solver(run, iterate)
@@ -160,7 +160,7 @@ def _solve_active(run: Run, iterate: Iterate, start: Start, most: float) -> Iter
     solver.watch = run.watcher(text, iterate)
     built = time.monotonic()
     run.build_seconds += built - began
-    solution = _answer(run, iterate, solver, start, most)
+    solution = _answer(run, iterate, solver, start, patience)
     solver.watch = None  # it is kept for later plans
     run.solve_seconds += time.monotonic() - built
     run.deadline.solved(began, iterate.layout.knots, solution.out_of_time)
@@ -189,7 +189,7 @@ def _solver(run: Run, iterate: Iterate) -> Solver:
     return cache.get(key, make)
 
 
-def _answer(run: Run, iterate: Iterate, solver: Solver, start: Start, most: float) -> Solution:
+def _answer(run: Run, iterate: Iterate, solver: Solver, start: Start, patience: Patience) -> Solution:
     """The solution, started from the multipliers of the last solve if it has any; if that fails, from the motion
     alone."""
     bounds = variable_bounds(iterate, iterate.blocks)
@@ -198,10 +198,10 @@ def _answer(run: Run, iterate: Iterate, solver: Solver, start: Start, most: floa
     # multipliers of obstacle constraints do not carry over to another discretisation
     if last is not None and not (iterate.blocked and last[1][1] != iterate.layout):
         given = transferred(*last, (solver.problem, iterate.layout))
-        answer = solver.solve(iterate.x, *bounds, values, deadline, multipliers=given, most=most)
+        answer = solver.solve(iterate.x, *bounds, values, deadline, multipliers=given, patience=patience)
         run.iterations += answer.iterations
     if answer is None or not (answer.success or answer.out_of_time or run.deadline.late):
         start = "motion" if iterate.prolongated else start
-        answer = solver.solve(iterate.x, *bounds, values, deadline, start, most=most)
+        answer = solver.solve(iterate.x, *bounds, values, deadline, start, patience=patience)
         run.iterations += answer.iterations
     return answer

@@ -222,19 +222,16 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     grid = np.zeros((len(_grid(bounds[forces])), len(bounds)))
     grid[:, forces] = _grid(bounds[forces])
     joints = _joints(vehicle, random, 64)
-    inverse_roots, fastest = [], 0.0
     inertias, motions = (stacked(value, len(joints)) for value in laws["inertia"].map(len(joints))(np.array(joints).T))
-    for inertia, moves in zip(inertias, motions, strict=True):
-        values, vectors = np.linalg.eigh((inertia + inertia.T) / 2)
-        if not len(values) or values.min() <= 1e-12 * values.max():
-            return UNBOUNDED
-        inverse_roots.append(vectors / np.sqrt(values) @ vectors.T)
-        fastest = max(fastest, float(np.linalg.norm(moves @ inverse_roots[-1], 2)))
-
-    n, here = len(inverse_roots[0]), _turned(vehicle, 0.0)
+    n, here = inertias.shape[1], _turned(vehicle, 0.0)
+    values, vectors = np.linalg.eigh((inertias + inertias.transpose(0, 2, 1)) / 2)
+    if not n or np.any(values.min(axis=1) <= 1e-12 * values.max(axis=1)):
+        return UNBOUNDED
+    roots = vectors / np.sqrt(values)[:, None] @ vectors.transpose(0, 2, 1)
+    fastest = float(np.linalg.norm(motions @ roots, 2, axis=(1, 2)).max())
     still, calm = np.zeros(n), np.zeros(3)
     # all at once: a call for each of these rows would cost more than the rows themselves
-    force, roots, shapes = Kernel(laws["force"]), np.array(inverse_roots), np.array(joints)
+    force, shapes = Kernel(laws["force"]), np.array(joints)
     each, count = np.repeat(shapes, len(grid), axis=0), len(shapes)
     pushes = _rows(force, here, each, still, np.tile(grid, (count, 1)), calm).reshape(count, len(grid), n)
     most = float(np.linalg.norm(pushes @ roots, axis=2).max())
@@ -247,6 +244,9 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     shapes, velocities = shapes[picks], np.einsum("kij,kj->ki", roots[picks], rays)
     rest = _rows(force, facing, shapes, still, controls, calm)
+    if not any(laws["force"].jac_sparsity(0, k).nnz() for k in (2, 4)):  # neither drag nor damping
+        gain = most * fastest * SAMPLING_FACTOR + GRAVITY * slope
+        return Push(gain, np.full(len(SPEEDS), gain))
     q, tiled = np.maximum(SPEEDS, 1e-6) / fastest, (len(SPEEDS), 1)
     moving = (q[:, None, None] * velocities).reshape(-1, n)
     given = (np.tile(facing, tiled), np.tile(shapes, tiled), moving, np.tile(controls, tiled), np.array(wind))

@@ -92,6 +92,22 @@ _ENDS: dict[End, dict[str, Any]] = {
         **_CONTENT,
     },
 }
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a solve is given: at ``most`` so many iterations, and after half of them no constraint may be missed by
+    more than ``halfway``, in the problem's scaled units."""
+
+    most: float = math.inf
+    halfway: float = math.inf
+
+    def ends(self, count: int, violation: Callable[[], float]) -> bool:
+        """Whether it ends with iteration ``count``, at which constraints are missed by ``violation``."""
+        return count > self.most or (count == self.most // 2 and violation() > self.halfway)
+
+
+ENDLESS = Patience()
 NEARBY = 60
 """Maximum number of iterations from multipliers: if these mislead, the motion alone is the better start."""
 
@@ -225,6 +241,11 @@ class Solver:
             self._solvers[start, magnitude] = nlpsol("plan", self.plugin, self._nlp, settings)
         return self._solvers[start, magnitude]
 
+    def violations(self, g: Array) -> Array:
+        """By how much constraints with values ``g`` (rows,) are missed, (rows,)."""
+        lower, upper = self._bounds
+        return np.asarray(np.maximum.reduce([lower - g, g - upper, np.zeros_like(g)]))
+
     def solve(
         self,
         x0: Array,
@@ -234,10 +255,9 @@ class Solver:
         deadline: float = math.inf,
         start: Start = "guess",
         multipliers: Multipliers | None = None,
-        most: float = math.inf,
+        patience: Patience = ENDLESS,
     ) -> Solution:
-        """Solve from ``x0`` and optional ``multipliers`` until ``deadline`` s on the clock of `time.monotonic`, in at
-        ``most`` so many iterations."""
+        """Solve from ``x0`` and optional ``multipliers`` until ``deadline`` s on the clock of `time.monotonic`."""
         g_lower, g_upper = self._bounds
         given, magnitude = {}, 1.0
         if multipliers is not None:
@@ -246,12 +266,12 @@ class Solver:
             if self.end == "draft":  # the barrier is chosen for costs of about one
                 start, magnitude = "draft", 10.0 ** round(math.log10(max(multipliers.cost, LEAST)))
         solver = self.prepare(start, magnitude)
-        self._callback.begin(deadline, most)
+        self._callback.begin(deadline, patience)
         with interrupts.silent():
             answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
         stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
-        violations = np.maximum.reduce([g_lower - g, g - g_upper, np.zeros_like(g)])
+        violations = self.violations(g)
         cost, status = float(answer["f"]), str(stats["return_status"])
         if status == NO_NUMBER:  # its constraints are reported as zero
             violations = np.full_like(g, math.inf)
@@ -294,10 +314,11 @@ class _Callback(ca.Callback):
         self.begin(math.inf)
         self.construct("watch", {})
 
-    def begin(self, deadline: float, most: float = math.inf) -> None:
-        """Reset the counter; stop when another iteration as long as the last would end after ``deadline``, or after
-        ``most`` iterations."""
-        self.most, self.count, self.deadline, self.before, self.out_of_time = most, 0, deadline, time.monotonic(), False
+    def begin(self, deadline: float, patience: Patience = ENDLESS) -> None:
+        """Reset the counter; stop when another iteration as long as the last would end after ``deadline``, or when
+        ``patience`` ends."""
+        self.patience, self.count, self.deadline = patience, 0, deadline
+        self.before, self.out_of_time = time.monotonic(), False
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -325,4 +346,7 @@ class _Callback(ca.Callback):
         now = time.monotonic()
         another, self.before = now - self.before, now
         self.out_of_time = now + another > self.deadline
-        return [int(interrupts.interrupted() or self.out_of_time or self.count > self.most)]
+        tried = solver is not None and self.patience.ends(
+            self.count, lambda: float(solver.violations(np.asarray(arguments[2]).ravel()).max(initial=0.0))
+        )
+        return [int(interrupts.interrupted() or self.out_of_time or tried)]

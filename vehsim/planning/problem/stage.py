@@ -7,6 +7,7 @@ them.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -164,11 +165,16 @@ def _push(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Exp
     given = vehicle.force(g, r, u, xi, c, still)
     rest = vehicle.force(g, r, u, xi, ca.SX.zeros(c.shape[0]), still)
     force = ca.vertcat(*(a - b for a, b in zip(given, rest, strict=True)))
-    speed = ca.SX.sym("speed")
+    return force / (max(_mass(vehicle), 1e-9) * GRAVITY)
+
+
+@lru_cache(maxsize=32)
+def _mass(vehicle: Vehicle) -> float:
+    """Mass along the body's last axis with its joints at zero, kg."""
+    speed, still = ca.SX.sym("speed"), ca.SX.zeros(len(vehicle.joints))
     along = ca.vertcat(ca.SX.zeros(vehicle.group.dim - 1), speed)
-    kinetic = ca.SX(vehicle.reduced_lagrangian(ca.SX.zeros(r.shape[0]), ca.SX.zeros(u.shape[0]), along))
-    mass = float(ca.evalf(ca.substitute(ca.hessian(kinetic, speed)[0], speed, 0)))
-    return force / (max(mass, 1e-9) * GRAVITY)
+    kinetic = ca.SX(vehicle.reduced_lagrangian(still, still, along))
+    return float(ca.evalf(ca.substitute(ca.hessian(kinetic, speed)[0], speed, 0)))
 
 
 def evaluate(term: Term, view: KnotView | SegmentView) -> Expr:

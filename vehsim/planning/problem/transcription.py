@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.integrators import DiscreteMechanics
+from vehsim.integrators.continuous import equations_of_motion
 from vehsim.integrators.discrete import mechanics_of
 from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.planning.problem.elements import Element, SpatialField
@@ -61,10 +62,10 @@ class Transcription:
     @cached_property
     def idle(self) -> list[int]:
         """Joints that influence neither the motion nor a limit, such as a wheel's roll."""
-        y, step = self.mechanics.symbols, self.mechanics.segment
-        moved = ca.vertcat(step["left"], step["right"], step["g1"])
+        law = equations_of_motion(self.vehicle)  # executes controls anyway, so that it costs nothing
+        moving = {joint for rate in (0, 2) for joint in law.jac_sparsity(rate, 1).get_triplet()[1]}
         named = enumerate(self.vehicle.joints)
-        return [i for i, name in named if name not in self.vehicle.joint_limits and not ca.depends_on(moved, y["r"][i])]
+        return [i for i, name in named if name not in self.vehicle.joint_limits and i not in moving]
 
     @cached_property
     def variational(self) -> Element:

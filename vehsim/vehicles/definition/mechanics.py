@@ -140,9 +140,13 @@ def acceleration(vehicle: Definition, g: Expr, r: Expr, z: Expr, c: Expr, c_rate
     with the connection. ``c_rate``: rate of the controls, which matters for rate controls only.
     """
     z_dot = ca.SX.sym("z_dot", z.shape[0])
-    balance = project(vehicle, r, *residual_force(vehicle, g, r, z, z_dot, c, c_rate, wind))
-    mass, rest = ca.jacobian(balance, z_dot), ca.substitute(balance, z_dot, ca.SX.zeros(z.shape[0]))
-    return -ca.solve(mass, rest) if z.shape[0] else ca.SX(0, 1)
+    return _balancing(project(vehicle, r, *residual_force(vehicle, g, r, z, z_dot, c, c_rate, wind)), z_dot)
+
+
+def _balancing(balance: Expr, z_dot: Expr) -> Expr:
+    """The ``z_dot`` at which a ``balance``, linear in it, vanishes."""
+    mass, rest = ca.jacobian(balance, z_dot), ca.substitute(balance, z_dot, ca.SX.zeros(z_dot.shape[0]))
+    return -ca.solve(mass, rest) if z_dot.shape[0] else ca.SX(0, 1)
 
 
 def residual_force(
@@ -170,10 +174,11 @@ def drive_power(vehicle: Definition, g: Expr, r: Expr, z: Expr, c: Expr, wind: E
     joints, c_rate = [joint for joint, _ in vehicle.driven], ca.SX.sym("c_rate", c.shape[0])
     if not joints:
         return ca.SX(1, 1), ca.SX(0, 1)
-    z_dot = acceleration(vehicle, g, r, z, c, c_rate, wind)
+    z_dot = ca.SX.sym("z_dot", z.shape[0])
     on_joints, on_group = residual_force(vehicle, g, r, z, z_dot, c, c_rate, wind)
     on_bound = ca.vertcat(on_group, rows(on_joints, vehicle.tied))
     multipliers = rows(on_joints - vehicle.connection(r).T @ on_bound, joints)
-    power = ca.dot(multipliers, rows(driven_rates(vehicle, c), joints))
+    found = _balancing(project(vehicle, r, on_joints, on_group), z_dot)
+    power = ca.dot(ca.substitute(multipliers, z_dot, found), rows(driven_rates(vehicle, c), joints))
     per_rate = rows(ca.gradient(power, c_rate), [control for _, control in vehicle.driven])
     return ca.substitute(power, c_rate, ca.SX.zeros(c_rate.shape[0])), per_rate
