@@ -112,7 +112,7 @@
     pads = Array.from({ length: Math.ceil(values.length / 2) }, (_, k) => pad(k));
     panel.replaceChildren(...pads.map((one) => one.box));
     panel.hidden = false;
-    requestAnimationFrame(tick);
+    tick();
   }
 
   function end() {
@@ -142,9 +142,10 @@
   }
 
   /** Move the sticks, and send them if they have moved. */
-  function tick(now) {
+  function tick() {
     if (!driven) return;
-    requestAnimationFrame(tick);
+    setTimeout(tick, 1000 / 60); // not with the pictures, which a slow machine draws seldom
+    const now = performance.now();
     const most = RAMP * Math.min((now - (before || now)) / 1000, 1 / RAMP), game = gamepad(); // a slow page too
     before = now;
     values = values.map((_, c) => {
