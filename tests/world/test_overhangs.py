@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,7 @@ from vehsim.vehicles import load_vehicle
 from vehsim.world import obstacles
 from vehsim.world.distance.field import distance_field
 from vehsim.world.ground.rock import rock_met, rock_under_wheels
-from vehsim.world.terrain.surface import open_edges
+from vehsim.world.terrain.surface import LIFT, _spanned, looks_up, open_edges, surface_of
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -361,3 +362,37 @@ def test_the_audit_of_a_stage_sees_the_same_sides_and_ground(terrains, meshes, n
     np.testing.assert_allclose(
         ground.height(np.array([[0.3, 0.2, 0.1], [0.3, 0.2, 40]])), [0, {"arch": 30, "cave": 24}[name]], atol=1e-6
     )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_space_above_a_face_is_free_where_winding_numbers_say_so(seed):
+    """On a plane stand boxes that overlap and touch each other, as modellers place them."""
+    draw = np.random.default_rng(seed)
+    lows, sizes = draw.integers(0, 12, (12, 3)) * [1, 1, 0.5], draw.integers(1, 8, (12, 3))
+    plane = box((-5, -5, -1), (25, 25, 0))
+    made = trimesh.util.concatenate([plane, *(box(low, low + size) for low, size in zip(lows, sizes, strict=True))])
+    surface = surface_of(np.array(made.vertices), np.array(made.faces))
+    corners = surface.points[surface.faces]
+    corners = corners[looks_up(corners)]
+    shares = draw.dirichlet([1, 1, 1], (200, len(corners)))
+    places = np.einsum("nkc,kcd->nkd", shares, corners).reshape(-1, 3)
+    free = surface.free_above(places)
+    np.testing.assert_array_equal(free, ~surface.inside(places + LIFT))
+    assert 0 < free.mean() < 1
+
+
+@pytest.mark.parametrize("path", [[0, 1, 2], [0, 1, 2, 3], [4, 3, 2, 1, 0], [0, 1, 2, 3, 4, 5, 6], [0, 1, 2, 0, 3, 4]])
+@pytest.mark.parametrize("closed", [True, False])
+def test_triangles_span_the_edges_of_a_bottom(path, closed):
+    edges = np.array([*pairwise(path), *([(path[-1], path[0])] if closed else [])])
+    faces = np.vstack([*_spanned(edges, 9)])
+    balance = np.zeros((10, 10), int)
+    for a, b, c in faces:
+        for start, end in ((a, b), (b, c), (c, a)):
+            balance[start, end] += 1
+            balance[end, start] -= 1
+    for start, end in edges:
+        balance[start, end] -= 1
+        balance[end, start] += 1
+    balance[9] = balance[:, 9] = 0  # an open path is closed over that point
+    assert not balance.any()

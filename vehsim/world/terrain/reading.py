@@ -7,6 +7,7 @@ The scale of a height map is in a TOML file of the same stem beside it (or in th
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import warnings
@@ -28,6 +29,7 @@ from vehsim.intake.meshes import read_triangles
 from vehsim.intake.tiff import read_tiff, read_tiff_header
 from vehsim.intake.toml import lines_in
 from vehsim.intake.usd import SUFFIXES, dependencies
+from vehsim.runtime.cache import kept
 from vehsim.world.terrain.grid import MAX_POINTS, HeightGrid
 from vehsim.world.terrain.surface import BELOW, LEVELS, LIFT, TerrainSurface, looks_up, surface_of
 
@@ -312,9 +314,15 @@ def _sample(path: Path, points: Array, faces: NDArray[np.int64], placement: Plac
     top = HeightGrid(path.name, _filled(path, heights.reshape(rows, cols)), origin, cell)
     if not _has_overhangs(top, surface, rays[:, :2]):
         return top
-    floor = surface.floor(rays[:, :2])
+    floor = _floor(surface, rays[:, :2])
     floor = np.where(np.isnan(floor), top.heights.ravel(), floor).reshape(rows, cols)
     return replace(top, heights=floor, surface=surface)
+
+
+def _floor(surface: TerrainSurface, xy: Array) -> Array:
+    """The floor (n,) m of a surface at ``xy`` (n, 2) m, cached: every process that reads the terrain asks for it."""
+    made_of = (surface.content_hash, hashlib.sha256(xy.tobytes()).hexdigest())
+    return np.frombuffer(kept("floor-1", made_of, lambda: surface.floor(xy).tobytes()))
 
 
 def _layers(surface: TerrainSurface, size: Array) -> float:

@@ -7,6 +7,7 @@ number (Barill et al. 2018), for which the rock below an open surface is closed 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,6 +25,8 @@ TOUCHED = 0.1
 ABOVE = 1e-3
 """Height above a face at which a point has to be free for the face to be ground, m."""
 LIFT = np.array([0.0, 0.0, ABOVE])
+ASIDE = np.array([1e-4, 0.7e-4, 0.0])
+"""Distance beside a point of the two lines along which faces above it are counted, m: a line may run along an edge."""
 
 LARGE = 0.01
 """Longest edge of a face that is ground as a whole or not at all, as a share of the terrain's width."""
@@ -41,7 +44,7 @@ class TerrainSurface:
     points: Array
     faces: Faces
 
-    @property
+    @cached_property
     def normals(self) -> Array:
         """Area vectors (m, 3) m^2 of the faces, twice their area long; they point into the air."""
         a, b, c = (self.points[self.faces[:, k]] for k in range(3))
@@ -54,9 +57,9 @@ class TerrainSurface:
         n, low = len(self.points), self.points[:, 2].min() - BELOW
         foot = np.column_stack([self.points[:, :2], np.full(n, low)])
         middle = np.append(self.points[:, :2].mean(axis=0), low)
-        sides = [(second, first, first + n), (second, first + n, second + n)]
-        bottom = (second + n, first + n, np.full(len(first), 2 * n))
-        faces = np.concatenate([self.faces, *(np.column_stack(corners) for corners in (*sides, bottom))])
+        sides = [np.column_stack(corners) for corners in ((second, first, first + n), (second, first + n, second + n))]
+        bottom = _spanned(np.column_stack([second + n, first + n]), 2 * n)
+        faces = np.concatenate([self.faces, *sides, *bottom])
         return np.vstack([self.points, foot, middle]), np.ascontiguousarray(faces)
 
     def inside(self, points: Array) -> NDArray[np.bool_]:
@@ -101,8 +104,27 @@ class TerrainSurface:
         return found
 
     def free_above(self, places: Array) -> NDArray[np.bool_]:
-        """Whether the space above ``places`` (n, 3) m on its faces is free, (n,)."""
-        return ~self.inside(places + LIFT)
+        """Whether the space above ``places`` (n, 3) m on its faces is free, (n,).
+
+        Faces above are counted. Where that differs between two lines beside a place, its winding number decides.
+        """
+        above = places + LIFT
+        first, second = (self._rock_above(above + beside) for beside in (ASIDE, -ASIDE))
+        free, unsure = first < 1, (first < 1) != (second < 1)
+        free[unsure] = ~self.inside(above[unsure])
+        return free
+
+    def _rock_above(self, points: Array) -> NDArray[np.int64]:
+        """How often straight lines up from points (n, 3) m leave the rock more often than they enter it, (n,): that is
+        the winding number, since no rock is above all faces."""
+        if not len(points):
+            return np.zeros(0, np.int64)
+        up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+        hits = self._tree.intersect_ray(self.points, self.faces, np.ascontiguousarray(points), up)
+        line = np.repeat(np.arange(len(points)), [len(each) for each in hits])
+        met = np.array([hit[0] for each in hits for hit in each], np.int64)
+        leaving = np.sign(self.normals[met, 2])
+        return np.bincount(line, leaving, len(points)).astype(np.int64)
 
     def floor(self, xy: Array) -> Array:
         """Height (n,) m of the lowest ground at ``xy`` (n, 2) m on which no rock stands; beyond the borders, of the
@@ -154,6 +176,14 @@ class TerrainSurface:
         return found
 
     @cached_property
+    def _tree(self) -> Any:
+        import igl
+
+        tree = igl.AABB()
+        tree.init(self.points, self.faces)
+        return tree
+
+    @cached_property
     def _ground_tree(self) -> Any:
         import igl
 
@@ -191,6 +221,28 @@ def _without_copies(faces: Faces) -> Faces:
     turned = np.take_along_axis(faces, (lowest + np.arange(3)) % 3, axis=1)
     _, first = np.unique(turned, axis=0, return_index=True)
     return np.ascontiguousarray(faces[np.sort(first)])
+
+
+def _spanned(edges: NDArray[np.int64], middle: int) -> Iterator[Faces]:
+    """Triangles (m, 3) between directed ``edges`` (k, 2) of one plane; paths that do not close are closed over the
+    point ``middle``.
+
+    Neighbours are joined first, then every second point: most triangles are small, so that winding numbers of points
+    far from them are cheap. From one common point, all would reach through the terrain.
+    """
+    following: dict[int, list[int]] = {}
+    for start, end in edges.tolist():
+        following.setdefault(start, []).append(end)
+    for start in list(following):
+        while following[start]:
+            path = [start]
+            while ends := following.get(path[-1]):
+                path.append(ends.pop())
+            ring = np.array(path[:-1] if path[-1] == start else [*path, middle])
+            while len(ring) > 2:
+                whole = ring[: len(ring) // 2 * 2].reshape(-1, 2)
+                yield np.column_stack([whole, np.append(ring, ring[0])[2 : 2 * len(whole) + 2 : 2]])
+                ring = ring[::2]
 
 
 def looks_up(corners: Array) -> NDArray[np.bool_]:
