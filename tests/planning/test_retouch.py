@@ -7,7 +7,8 @@ import vehsim
 from vehsim import Mark
 from vehsim.lie.quaternions import matrices
 from vehsim.planning import retouch as retouching
-from vehsim.planning.retouch import KEPT, retouch
+from vehsim.planning.retouch import KEPT, _clear, retouch
+from vehsim.world.obstacles.obstacles import box
 
 CAR, HELI = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
 
@@ -184,3 +185,10 @@ def test_an_edit_on_the_ground_is_refused(flight):
     assert abs(standing) < 0.05
     with pytest.raises(SolveError, match="stands on the ground"):
         retouch(low, world, *bumped(low, 991, 1041, (0.0, 0.5, 0.0)))
+
+
+@pytest.mark.parametrize(("aside", "least", "most"), [(3.0, 0.5, 0.5), (1.4, 0.15, 0.45), (0.5, 0.0, 0.0)])
+def test_an_edit_on_the_ground_keeps_clear_of_obstacles(drive, aside, least, most):
+    """The ground below its wheels is none: the clearance was 0 on every terrain."""
+    world = vehsim.World("flat", obstacles=[box("post", (0, aside, 0), (0.2, 0.2, 2))])
+    assert least <= _clear(drive, world, drive, 0, 0.5) <= most

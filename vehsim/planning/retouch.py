@@ -342,12 +342,20 @@ def _landed(clip: Clip, world: Any, frames: Array) -> NDArray[np.bool_]:
 
 
 def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -> float:
-    """The requested clearance, or less where the solved motion comes nearer, as over the place where it lands."""
+    """The requested clearance, or less where the solved motion comes nearer, as over the place where it lands.
+
+    A vehicle on the ground keeps it from obstacles and walls.
+    """
     if world is None or (world.terrain is None and not world.obstacles):
         return clearance
     seconds = (first / float(clip.fps)) + solved.times - solved.times[0]
-    least = float(world.clearance(clip.vehicle, solved.positions, solved.orientations, seconds, solved.channels).min())
-    return max(0.0, min(clearance, least))
+    there = clip.vehicle, solved.positions, solved.orientations
+    if clip.vehicle.group.planar:
+        from_obstacles = world.clearance_by_obstacle(*there, seconds, solved.channels)
+        apart = [from_obstacles.min(initial=math.inf), world.clearance_from_walls(*there, solved.channels).min()]
+    else:
+        apart = [world.clearance(*there, seconds, solved.channels).min()]
+    return max(0.0, float(min(clearance, *apart)))
 
 
 @dataclass(frozen=True, eq=False)
