@@ -433,7 +433,7 @@ def test_motion_from_the_cache_needs_no_straight_guesses(path, monkeypatch):
 def test_each_iterate_is_drawn(path, monkeypatch):
     """The first solve moves the vehicle along its iterates; later ones draw their paths beside the present motion."""
     monkeypatch.setattr(live_session, "WAIT", 0.0)
-    monkeypatch.setattr(live_session, "SHARE", 1.0)
+    monkeypatch.setattr(live_session, "SHARE", np.inf)
     monkeypatch.setenv("VEHSIM_CACHE", str(path.parent / "cache"))
 
     async def play():
