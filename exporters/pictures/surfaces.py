@@ -52,7 +52,7 @@ def read_surface(prim: Any, time: float) -> Material:
         rgb = gprim.GetDisplayColorAttr().Get(time) if gprim else None
         alpha = gprim.GetDisplayOpacityAttr().Get(time) if gprim else None
         colour = tuple(float(x) for x in rgb[0]) if rgb else (0.5, 0.5, 0.5)
-        return Material(colour=colour, opacity=float(alpha[0]) if alpha else 1.0)  # type: ignore[arg-type]
+        return Material(colour=colour, opacity=float(alpha[0]) if alpha else 1.0)  # type: ignore[arg-type]  # three floats
 
     def value(name: str, default: Any) -> Any:
         port = shader.GetInput(name)

@@ -507,7 +507,7 @@ def _opening(gate: Gate) -> Array:
     _, width, height = gate.axes
     if gate.size is None:
         turn = np.linspace(0.0, 2 * np.pi, 49)
-        across, up = gate.radius * np.column_stack([np.cos(turn), np.sin(turn)]).T  # type: ignore[operator]
+        across, up = gate.radius * np.column_stack([np.cos(turn), np.sin(turn)]).T  # type: ignore[operator]  # without a size it has one
     else:
         across, up = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]]) * np.reshape(gate.size, (2, 1)) / 2
     return across[:, None] * width + up[:, None] * height

@@ -25,7 +25,7 @@ def test_one_worker_two_workers_and_dask_give_the_same_bytes(write: Write, tmp_p
     pytest.importorskip("distributed", reason='needs the extra: pip install "vehsim[dask]"')
     shots = load_shots(write(sweep=FIVE))
     for name, how in {"one": {}, "two": {"workers": 2}, "dask": {"workers": 2, "dask": "local"}}.items():
-        outcomes = export_batch(shots, tmp_path / name, ["usd", "npz"], **how)  # type: ignore[arg-type]
+        outcomes = export_batch(shots, tmp_path / name, ["usd", "npz"], **how)  # type: ignore[arg-type]  # values of one type each
         assert [outcome.state for outcome in outcomes] == ["done"] * 5
     assert content(tmp_path / "one") == content(tmp_path / "two") == content(tmp_path / "dask")
     assert len([path for path in content(tmp_path / "one") if path.endswith("report.json")]) == 5
@@ -66,7 +66,7 @@ def test_every_input_of_a_clip_is_in_its_hash(write: Write, tmp_path: Path) -> N
 
     from vehsim.vehicles import load_vehicle
 
-    home = load_vehicle("car").rig.asset.parent  # type: ignore[union-attr]
+    home = load_vehicle("car").rig.asset.parent  # type: ignore[union-attr]  # a car has a rig
     shutil.copytree(home, tmp_path / "mine")
     (shot,) = load_shots(write(asset="mine"))
     first = fingerprint(shot, ["npz"])

@@ -25,7 +25,7 @@ TEN = '"vehicle.car.motion.duration" = { from = 1.0, to = 3.0, count = 10 }'
 
 @pytest.fixture
 def cluster() -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed", reason='needs the extra: pip install "vehsim[dask]"')
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         yield cluster
 

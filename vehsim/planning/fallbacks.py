@@ -92,11 +92,11 @@ def from_other_guesses(
 ) -> Iterate:
     """The iterate solved from other initial guesses, or the failed one with the reason.
 
-    ``untried``: the first guess in its character, if only its stunt was tried: it comes after the other guesses.
-
     A flight through a narrow place tries the way around it. A vehicle that drives nose first tries to reverse, then to
     change its direction on the way. Then, in free space, a relaxed problem finds out whether the marks can be met
     together at all. Near obstacles this comes last, since relaxed problems take longer there.
+
+    ``untried``: the first guess in its character, if only its stunt was tried: it comes after the other guesses.
     """
     iterate = failed
     for other in (around, backwards, shunting) if guess is None else ():

@@ -1,7 +1,8 @@
 """The surface of a terrain that is not a height field, so that the space below arches and in caves and tunnels is free.
 
 Distances are those of the file's own triangles (libigl's bounding boxes). The side of a point follows from its winding
-number (Barill et al. 2018), for which the rock below an open surface is closed by a skirt and a level bottom.
+number (Barill et al. 2018), for which the rock below an open surface is closed by a skirt and a level bottom. Above a
+face, the same number follows from the faces along a vertical line, which costs less.
 """
 
 from __future__ import annotations
