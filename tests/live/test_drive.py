@@ -260,6 +260,26 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
     asyncio.run(play())
 
 
+def test_sticks_that_do_not_move_again_are_heard(tmp_path):
+    """A page sends its sticks once the drive is announced, and then only if they move."""
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT.replace("schema = 1", "schema = 1\nend_frame = 1100", 1))
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            await page.send(kind="drive", vehicle="car")
+            await page.until("driving")
+            await page.send(kind="sticks", values=[0.8, 0.0])
+            await page.until("live", lambda live: live.header["frame"] > 1006)
+            await page.send(kind="stop")
+            await page.until("driven")
+
+    asyncio.run(play())
+    rows = [row.split(",") for row in (tmp_path / "drive.car.001.csv").read_text().splitlines()[1:]]
+    assert max(float(row[1]) for row in rows) == 0.8 * 2500
+
+
 def test_a_drive_ends_when_its_browser_closes(tmp_path):
     """Long before the shot does. The one that watches sees it end, and can edit; the recording is kept."""
     path = tmp_path / "drive.toml"

@@ -328,11 +328,12 @@ class Server:
             gone = not driver or self._browsers[:1] != driver
             return gone or bool(self._jobs or self._drag) or session.superseded.is_set()
 
-        self._tell({"kind": "driving", "vehicle": message.vehicle})
+        def tell(what: Any) -> None:
+            loop.call_soon_threadsafe(self._tell, what)
+
+        driving = {"kind": "driving", "vehicle": message.vehicle}
         try:
-            await self._solve(
-                lambda: session.drive(message, lambda block: loop.call_soon_threadsafe(self._tell, block), ended)
-            )
+            await self._solve(lambda: session.drive(message, lambda: tell(driving), tell, ended))
         finally:
             self._tell({"kind": "driven"})
 

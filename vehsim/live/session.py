@@ -508,11 +508,17 @@ class Session:
                 found.append({"vehicle": table.name, "controls": controls, "continues": continues})
         return found
 
-    def drive(self, wanted: TakeControls, show: Callable[[bytes], object], ended: Callable[[], bool]) -> bytes | None:
+    def drive(
+        self,
+        wanted: TakeControls,
+        began: Callable[[], object],
+        show: Callable[[bytes], object],
+        ended: Callable[[], bool],
+    ) -> bytes | None:
         """Simulate a vehicle under ``sticks`` until ``ended``, write the recording, and `solve` the shot with it.
 
-        ``show`` receives a block for each picture, in this thread. The recording is a table of controls and a clip
-        beside the shot. Raises ``VehsimError`` if there is none.
+        In this thread, ``began`` is called once the sticks can be moved, then ``show`` with a block for each picture.
+        The recording is a table of controls and a clip beside the shot. Raises ``VehsimError`` if there is none.
         """
         from vehsim.live.drive import Sticks, record
         from vehsim.shot.motions.sticks import write_sticks
@@ -528,6 +534,7 @@ class Session:
             (k, self.shot.vehicle(table)) for k, table in enumerate(self.shot.file.vehicle) if table.name == name
         )
         self.sticks = Sticks(vehicle, self.shot.world.wind)
+        began()
         try:
             made = record(
                 self.shot, name, self.take.clips, lambda clip, behind: show(live_block(clip, kinematics, name, behind)),
@@ -548,7 +555,7 @@ class Session:
         return shown
 
     def move_sticks(self, moved: MoveSticks) -> None:
-        """Move the sticks of the present drive; those of a drive that has just ended have no effect."""
+        """Move the sticks of the present drive; those of a drive that has ended have no effect."""
         sticks = self.sticks
         if sticks is not None and len(moved.values) == len(sticks.values):
             sticks.move(moved.values)
