@@ -26,6 +26,7 @@ from vehsim.vehicles.definition.quantities import in_degrees
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
+    from vehsim.world.world import World
 
 Array = NDArray[np.float64]
 
@@ -49,22 +50,21 @@ SETTLES = 2.0
 """Seconds before and after rest in which a vehicle settles."""
 
 
-def review(
-    clip: Clip, wind: ArrayLike = (0.0, 0.0, 0.0), character: str = NORMAL, *, waves: bool = False
-) -> list[dict[str, Any]]:
-    """What a clip in a ``wind`` (3,) m/s shows beside the envelope of a character, as JSON data: one row per quantity.
+def review(clip: Clip, world: World | None = None, character: str = NORMAL) -> list[dict[str, Any]]:
+    """What a clip in a ``world`` shows beside the envelope of a character, as JSON data: one row per quantity.
 
-    On ``waves``, acceleration and jerk of a boat have no envelope: that is one of driving, and there the sea moves it.
+    Power depends on its wind and on the height above its ground. On its waves, acceleration and jerk of a boat have no
+    envelope: that is one of driving, and there the sea moves it.
     ``name``, ``unit``, ``worst`` and its ``frame``, the ``envelope`` (None: there is none) and its ``source``,
     ``inside`` (None without envelope), and a ``curve``: frames and values. SI units, radians.
     """
     track, vehicle = track_of_clip(clip), clip.vehicle
     rows = []
-    for name, unit, values, trait in _curves(track, vehicle, np.asarray(wind, float)):
+    for name, unit, values, trait in _curves(track, vehicle, world):
         known = np.flatnonzero(np.isfinite(values))
         if not len(known):
             continue
-        if waves and name in BY_WAVES and vehicle.hull is not None:
+        if world is not None and world.waves and name in BY_WAVES and vehicle.hull is not None:
             trait = None
         k = known[np.argmax(values[known])]
         worst = float(np.mean(values[known] >= 1 - AT_BOUND) if name in SHARES_OF_TIME else values[k])
@@ -144,7 +144,7 @@ class _Curve(NamedTuple):
     trait: Trait | None
 
 
-def _curves(track: Track, vehicle: Any, wind: Array) -> Iterator[_Curve]:
+def _curves(track: Track, vehicle: Any, world: World | None) -> Iterator[_Curve]:
     """Every quantity that the motion shows."""
     planar, traits = {"planar": vehicle.group.planar}, vehicle.character
 
@@ -158,7 +158,7 @@ def _curves(track: Track, vehicle: Any, wind: Array) -> Iterator[_Curve]:
     yield reviewed("settling", _settling(track))
     if track.controls is None or not len(vehicle.controls):
         return
-    if (power := _power(track, vehicle, wind)) is not None:
+    if (power := _power(track, vehicle, world)) is not None:
         yield reviewed("power", power)
     rates = [MEASURES["control_rate"](track, {"control": k}, Scene()) for k in range(len(vehicle.controls))]
     for control, rate in zip(vehicle.controls, rates, strict=True):
@@ -211,17 +211,30 @@ def _rotated(rotations: Array, vectors: Array) -> Array:
     return np.einsum("nij,nj->ni", rotations, vectors)
 
 
-def _power(track: Track, vehicle: Any, wind: Array) -> Array | None:
+def _power(track: Track, vehicle: Any, world: World | None) -> Array | None:
     """Power at the shafts of the rotors (n,) W; None if the vehicle does not state it."""
     import casadi as ca
 
     law = getattr(vehicle, "power", None)
     if law is None or track.controls is None:
         return None
-    air, c = ca.SX.sym("air", 6), ca.SX.sym("c", len(vehicle.controls))
-    power = ca.Function("power", [air, c], [law(air, c)])
-    airs = np.hstack([track.omegas, _at_origin(track, vehicle, wind)])
-    return np.asarray(power.map(len(airs))(airs.T, track.controls.T)).ravel()
+    air, c, height = ca.SX.sym("air", 6), ca.SX.sym("c", len(vehicle.controls)), ca.SX.sym("height")
+    power = ca.Function("power", [air, c, height], [law(air, c, height)])
+    airs = np.hstack([track.omegas, _at_origin(track, vehicle, (0.0, 0.0, 0.0) if world is None else world.wind)])
+    heights = _above_ground(track.positions + track.rotations @ vehicle.origin, world)
+    return np.asarray(power.map(len(airs))(airs.T, track.controls.T, heights[None])).ravel()
+
+
+def _above_ground(points: Array, world: World | None) -> Array:
+    """Heights (n,) m of ``points`` (n, 3) above the terrain, standing obstacle or water below them; inf over none."""
+    from vehsim.world.ground.touchdown import height_below
+
+    if world is None:
+        return np.full(len(points), np.inf)
+    ground = height_below(world, points)
+    if world.water is not None:
+        ground = np.maximum(ground, world.water.level)
+    return np.asarray(points[:, 2] - ground)
 
 
 def _rests(track: Track) -> NDArray[np.intp]:

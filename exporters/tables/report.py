@@ -89,7 +89,7 @@ def _clip_summary(clip: Any, world: Any) -> dict[str, Any]:
         "top_speed_m_s": float(speeds.max()),
         "events": list(clip.events),
         "energy_J": _ledger(clip.energy),
-        "review": review(clip, world.wind, waves=world.waves),
+        "review": review(clip, world),
     }
 
 

@@ -20,6 +20,7 @@ from vehsim.exporters.checks.review import outside, review, shown
 from vehsim.exporters.checks.review_page import write_page
 from vehsim.pilots.controllers import FollowPath
 from vehsim.vehicles.definition.character import REVIEW_UNITS, REVIEWED
+from vehsim.world.obstacles.obstacles import box
 
 BOAT, CAR = vehsim.load_vehicle("boat").planar, vehsim.load_vehicle("car")
 
@@ -211,7 +212,7 @@ def test_power_is_that_of_the_rotors_in_the_air_that_they_meet() -> None:
         controls = np.tile([thrust, tail, 0.0, 0.0], (n, 1))
         twists, none = np.tile([0.0, 0, 0, speed, 0, 0], (n, 1)), np.zeros((n, 0))
         clip = Clip(heli, t, positions, turn, twists, none, none, controls, {}, Fraction(24))
-        (found,) = (row for row in review(clip, wind) if row["name"] == "power")
+        (found,) = (row for row in review(clip, vehsim.World(wind=wind)) if row["name"] == "power")
         assert shown(found["worst"], found["unit"]).endswith(" kW") and found["inside"] is True
         return float(found["worst"])
 
@@ -224,6 +225,32 @@ def test_power_is_that_of_the_rotors_in_the_air_that_they_meet() -> None:
     assert worst(10.0, (0, 10, 0), math.pi / 2) == pytest.approx(still, rel=2e-3)
     assert worst(10.0, (0, 0, 0), 1.0) == pytest.approx(worst(0.0, (-10, 0, 0)), rel=1e-4)
     assert worst(10.0, (0, 0, 0)) < 0.95 * still
+
+
+def test_a_hover_near_the_ground_needs_less_power() -> None:
+    """Skids on ground, pad or water: Hayden's share of the induced power of the main rotor, 3.06 m above them."""
+    heli, n = vehsim.load_vehicle("helicopter"), 3
+    thrust, none = 1900 * 9.81, np.zeros((n, 0))
+
+    def power(height: float, world: vehsim.World | None) -> float:
+        upright, still = np.tile([1.0, 0, 0, 0], (n, 1)), np.zeros((n, 6))
+        positions, controls = np.tile([0.0, 0, height], (n, 1)), np.tile([thrust, 0.0, 0, 0], (n, 1))
+        t = np.linspace(0.0, 1.0, n)
+        clip = Clip(heli, t, positions, upright, still, none, none, controls, {}, Fraction(24))
+        (found,) = (row for row in review(clip, world) if row["name"] == "power")
+        return float(found["worst"])
+
+    free, flat = power(0.0, None), vehsim.World("flat")
+    induced = 1.15 * thrust**1.5 / math.sqrt(2 * 1.225 * math.pi * 5.35**2)
+    saved = induced * (1 - 1 / (0.9926 + 0.0379 * (2 * 5.35 / 3.06) ** 2))
+    pad = box("pad", (0, 0, 10.0), (20, 20, 2.0))
+    for world, height in (
+        (flat, 0.0),
+        (vehsim.World("flat", obstacles=[pad]), 12.0),
+        (vehsim.World(water=4.0), 4.0),
+    ):
+        assert free - power(height, world) == pytest.approx(saved, rel=5e-3)
+    assert power(40.0, flat) == pytest.approx(free)
 
 
 def test_slip_and_power_are_of_the_bodys_origin() -> None:

@@ -1,5 +1,6 @@
 """The helicopter's aerodynamics against momentum theory and the published trim of the Bo 105."""
 
+import math
 from pathlib import Path
 
 import casadi as ca
@@ -37,7 +38,7 @@ def shaft_power(vehicle, speed):
     """Power in level flight, W."""
     found = trimmed(vehicle, speed)
     air, c = ca.SX.sym("air", 6), ca.SX.sym("c", 4)
-    law = ca.Function("power", [air, c], [vehicle.power(air, c)])
+    law = ca.Function("power", [air, c], [vehicle.power(air, c, math.inf)])
     a, b = found.pitch, found.roll  # the body's axes in the world: nose up about -Y, then right side down about X
     nose = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     side = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -76,6 +77,40 @@ def test_induced_velocity_is_glauerts(across, along):
     thrust = 2 * AIR * rotor.area * 100.0  # 10 m/s in hover
     v = float(ca.evalf(ca.SX(rotor.induced(thrust, along, across**2))))
     assert v * np.hypot(across, along + v) == pytest.approx(100.0, rel=0.05 if along == -8.0 else 0.02)
+
+
+def cushion(rotor, height, across, free):
+    return float(ca.evalf(ca.SX(rotor.cushion(height, across, free))))
+
+
+@pytest.mark.parametrize(("radii", "hayden"), [(0.57, 0.6853), (1.0, 0.8740), (1.5, 0.9434), (2.0, 0.9704)])
+def test_a_hover_near_the_ground_needs_haydens_share_of_induced_power(radii, hayden):
+    """Values of 1 / (0.9926 + 0.0379 (2 R / z)^2) by hand."""
+    assert cushion(Rotor(5.0, 40.0, 0.06, 0.01, 1.15), 5.0 * radii, 0.0, 10.0) == pytest.approx(hayden, abs=2e-4)
+
+
+def test_the_cushion_ends_above_the_ground_and_is_bounded_below_the_rotor():
+    rotor = Rotor(5.0, 40.0, 0.06, 0.01, 1.15)
+    assert cushion(rotor, 25.0, 0.0, 10.0) == cushion(rotor, math.inf, 0.0, 10.0) == 1.0
+    assert cushion(rotor, 0.0, 0.0, 10.0) == cushion(rotor, 2.5, 0.0, 10.0) == pytest.approx(0.6254, abs=2e-4)
+
+
+@pytest.mark.parametrize("radii", [0.75, 1.0, 1.5, 2.0])
+def test_thrust_near_the_ground_is_cheeseman_and_bennetts(radii):
+    """At the power of a free hover, the rotor of a Bo 105 lifts 1 / (1 - (R / 4 z)^2) times as much near the ground."""
+    rotor, weight = Rotor(4.91, 44.4, 0.07, 0.0083, 1.15), 2200 * GRAVITY
+    t, z = ca.SX.sym("t"), 4.91 * radii
+    power = ca.Function("power", [t], [rotor.power(t, 0.0, 1e-6, z)])
+    free = float(ca.evalf(ca.SX(rotor.power(weight, 0.0, 1e-6))))
+    lifts = np.linspace(1.0, 1.3, 3001)
+    ratio = np.interp(free, np.asarray(power.map(3001)(weight * lifts[None])).ravel(), lifts)
+    assert ratio == pytest.approx(1 / (1 - (1 / (4 * radii)) ** 2), rel=0.05)
+
+
+def test_the_cushion_fades_with_speed_as_cheeseman_and_bennett_say():
+    rotor = Rotor(5.0, 40.0, 0.06, 0.01, 1.15)
+    saved = [1 - cushion(rotor, 5.0, speed**2, 10.0) for speed in (0.0, 10.0, 30.0)]
+    assert np.array(saved[1:]) / saved[0] == pytest.approx([1 / 2, 1 / 10], rel=1e-3)
 
 
 def test_torque_turns_the_nose_to_the_right_and_the_tail_rotor_holds_it(bo105):

@@ -403,7 +403,7 @@ def review(
     def of_shot(shot: Any) -> dict[str, Any]:
         with _progress(quiet) as progress:
             take = shot.solve(progress=progress)
-        clips = {name: review(clip, take.world.wind, waves=take.world.waves) for name, clip in take.clips.items()}
+        clips = {name: review(clip, take.world) for name, clip in take.clips.items()}
         return {"shot": shot.name, "fps": str(take.fps), "vehicles": clips}
 
     made, wrong = _arguments.each(shots, of_shot)

@@ -26,8 +26,9 @@ class Holonomic(Vehicle):
     body wrench (d,), which must not add power; None: no drag. ``resistance``: body twist (d,) and controls (c,) -> body
     wrench (d,) of a medium at rest in the world, such as calm water; None: no resistance. ``rotors``: body twist
     relative to the air and controls -> torque (3,), N m, with which rotors react on the body beside ``wrench``; None:
-    no reaction. ``power``: the same -> power at the shafts of its rotors, W; None: unknown. ``gravity``: m/s^2, acts on
-    ``mass`` along -Z; ``mass`` defaults to the translational inertia and is necessary with added mass.
+    no reaction. ``power``: the same, and the height of the body frame's origin above the ground, m -> power at the
+    shafts of its rotors, W; None: unknown. ``gravity``: m/s^2, acts on ``mass`` along -Z; ``mass`` defaults to the
+    translational inertia and is necessary with added mass.
 
     Raises ``InputError`` if the inertia has the wrong shape or is not symmetric and positive definite, or if a law has
     the wrong shape.
@@ -38,7 +39,7 @@ class Holonomic(Vehicle):
     drag: Callable[[Expr], Expr] | None = None
     resistance: Callable[[Expr, Expr], Expr] | None = None
     rotors: Callable[[Expr, Expr], Expr] | None = None
-    power: Callable[[Expr, Expr], Expr] | None = None
+    power: Callable[[Expr, Expr, Expr], Expr] | None = None
     mass: float | None = None
     gravity: float = GRAVITY
 

@@ -6,6 +6,7 @@ in-plane drag, the fuselage and the tail surfaces their forces and moments. With
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -105,13 +106,13 @@ def helicopter(
             torque += hub_stiffness * ca.vertcat(ca.sin(c[3]), ca.sin(c[2]), 0)
         return ca.vertcat(torque, thrust + force)
 
-    def main_power(air: Expr, c: Expr) -> Expr:
+    def main_power(air: Expr, c: Expr, hub_height: Expr = math.inf) -> Expr:
         along = ca.dot(direction(c), air[3:6])
-        return main.power(c[0], along, ca.sumsqr(air[3:6]) - along**2 + 1e-6)
+        return main.power(c[0], along, ca.sumsqr(air[3:6]) - along**2 + 1e-6, hub_height)
 
-    def power(air: Expr, c: Expr) -> Expr:
-        """Power of both rotors, W."""
-        total = main_power(air, c)
+    def power(air: Expr, c: Expr, height: Expr) -> Expr:
+        """Power of both rotors, W, of which the main rotor is ``d_t`` above the centre of mass."""
+        total = main_power(air, c, height + d_t)
         if tail_radius:
             across = air[3] ** 2 + air[5] ** 2 + 1e-6
             total += tail.power(c[1], -air[4], across)

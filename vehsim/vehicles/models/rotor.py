@@ -66,10 +66,23 @@ class Rotor:
         size = across + through**2
         return v - (v * size - square * ca.sqrt(size)) / (size + v * through)
 
-    def power(self, thrust: Expr, along: Expr, across: Expr) -> Any:
+    def cushion(self, height: Expr, across: Expr, induced: Expr) -> Any:
+        """Induced velocity ``height`` m above the ground over that far from it, at the same thrust.
+
+        In hover it is Hayden's fit to flight tests (1976), ``1 / (0.9926 + 0.0379 (2 R / z)^2)``, which ends at 4.5
+        radii; closer than half a radius, it stays that of half a radius. With speed it fades as Cheeseman and Bennett
+        (1955) say: ``across`` (m^2/s^2) over the square of the ``induced`` velocity far from the ground, m/s.
+        """
+        ratio = 2 * self.radius / ca.fmax(height, self.radius / 2)
+        saved = ca.fmax(1 - 1 / (0.9926 + 0.0379 * ratio**2), 0)
+        return 1 - saved / (1 + across / (induced**2 + STILL**2))
+
+    def power(self, thrust: Expr, along: Expr, across: Expr, height: Expr = math.inf) -> Any:
         """Power at the shaft, W: induced, climb or parasite (``thrust`` times ``along``), and profile power.
 
         Profile power grows with ``1 + 4.65 mu^2`` (Stepniewski), of which the H-force's own work is 2 ``mu^2``.
+        ``height`` m above the ground: there, the induced part is smaller.
         """
-        induced = self.induced_factor * self.induced(thrust, along, across)
+        free = self.induced(thrust, along, across)
+        induced = self.induced_factor * free * self.cushion(height, across, free)
         return thrust * (induced + along) + self.profile_power * (1 + 4.65 * across / self.tip_speed**2)
