@@ -8,6 +8,7 @@ import struct
 import numpy as np
 import pytest
 
+from vehsim.errors import InputError
 from vehsim.exporters.checks.validate import validate_stage
 from vehsim.exporters.usd.exporter import write_usd
 from vehsim.rig.ops import rig_problems
@@ -94,6 +95,39 @@ def test_names_keep_their_letters(tmp_path):
 def test_animation_in_a_glb_is_ignored_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="has 1 animations and 2 skins; only its rest pose is read"):
         ready_asset(tmp_path / "vehicle.toml", glb(tmp_path / "bobbing.glb", animations=[{}], skins=[{}, {}]))
+
+
+def test_too_many_parts_are_refused_before_they_are_converted(tmp_path, monkeypatch):
+    """The limit counts nodes, and primitives of meshes; a USD vehicle has the same limit."""
+    from vehsim.rig.parts import read_parts
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
+    data = glb(tmp_path / "cart.glb")
+    asset, _ = ready_asset(tmp_path / "vehicle.toml", data)
+    monkeypatch.setenv("VEHSIM_READ_PARTS", "2")
+    assert len(read_parts(asset)) == 2
+    monkeypatch.setenv("VEHSIM_READ_PARTS", "1")
+    with pytest.raises(InputError, match=r"2 parts, at most 1; join .*VEHSIM_READ_PARTS=4"):
+        read_parts(asset)
+    primitives = [{"attributes": {}}] * 3
+    meshes = [{"primitives": primitives}, {"primitives": primitives}]
+    for name, more in (("nodes", {}), ("primitives", {"meshes": meshes, "nodes": [{"mesh": 0}, {"mesh": 1}]})):
+        with pytest.raises(InputError, match=f"{name}.glb: asset: {6 if more else 2} parts, at most 1"):
+            ready_asset(tmp_path / "vehicle.toml", glb(tmp_path / f"{name}.glb", **more))
+    assert not list((tmp_path / "cache" / "vehicles").glob("nodes-*"))
+
+
+def test_hulls_of_all_parts_are_one_entry_of_the_cache(tmp_path, monkeypatch):
+    """Storing looks at all entries of its kind: one for each part took 79 of 101 CPU s for 5,000 parts."""
+    from vehsim.rig.parts import moments, read_parts, solids
+
+    asset, _ = ready_asset(tmp_path / "vehicle.toml", glb(tmp_path / "cart.glb"))
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
+    assert sum(volume for _, volume, _, _ in moments(read_parts(asset))) == pytest.approx(3.0)
+    with pytest.warns(UserWarning, match="no mesh carries"):
+        assert len(solids(asset)) == 2
+    kinds = [file.name.partition("-")[0] for file in (tmp_path / "cache").iterdir()]
+    assert kinds.count("hull_faces") == kinds.count("hulls") == 1
 
 
 def test_a_scaled_root_has_the_right_unit(tmp_path, toys, make_take):

@@ -16,9 +16,14 @@ MAX_BYTES = 4_000_000_000
 """The largest accepted file, except those of which a part is read."""
 BY_WINDOW = (".npy", ".tif", ".tiff")
 """Suffixes of files that may be larger than the memory, because a window of them is read."""
-LIMITS = {"VEHSIM_READ_SECONDS": 15.0, "VEHSIM_READ_GB": 8.0, "VEHSIM_READ_PRIMS": 200_000.0}
+LIMITS = {
+    "VEHSIM_READ_SECONDS": 15.0,
+    "VEHSIM_READ_GB": 8.0,
+    "VEHSIM_READ_PRIMS": 200_000.0,
+    "VEHSIM_READ_PARTS": 10_000.0,
+}
 """Default limits for reading one file, by the environment variable that changes them: processor time, s; address space
-of the reader process, GB; prims of a stage, instances included."""
+of the reader process, GB; prims of a stage, instances included; parts of a vehicle."""
 
 
 def limit(variable: str) -> float:
@@ -40,6 +45,13 @@ def limit(variable: str) -> float:
 def raise_limit(variable: str, instead: str = "give a smaller file") -> str:
     """The remedy for a file beyond a limit."""
     return f"{instead}, or raise the limit: {variable}={4 * limit(variable):g}"
+
+
+def check_parts(count: int, file: Path | str) -> None:
+    """Raise ``InputError`` if a vehicle has more parts than its reading, hulls and animation are made for."""
+    if count > (most := limit("VEHSIM_READ_PARTS")):
+        remedy = raise_limit("VEHSIM_READ_PARTS", "join the parts that do not move on their own")
+        raise refuse(file, "asset", f"{count:,} parts, at most {most:,.0f}", remedy)
 
 
 def refuse(file: Path | str, key: str, message: str, remedy: str, value: object = None) -> InputError:

@@ -44,3 +44,10 @@ def scene_of(path: Path, key: str) -> dict[str, Any]:
     if count < len(nodes):
         raise refuse(path, key, "nodes that are above themselves", _AGAIN)
     return scene
+
+
+def parts_of(scene: dict[str, Any]) -> int:
+    """How many parts a vehicle from the scene has: its nodes, or the primitives of their meshes if these are more."""
+    nodes, meshes = scene.get("nodes", []), scene.get("meshes", [])
+    drawn = [node["mesh"] for node in nodes if 0 <= node.get("mesh", -1) < len(meshes)]
+    return max(len(nodes), sum(len(meshes[mesh]["primitives"]) for mesh in drawn))

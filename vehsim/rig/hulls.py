@@ -67,10 +67,15 @@ def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
     return (float(colour[0]), float(colour[1]), float(colour[2]), float(opacity))
 
 
-def hull_moments(points: Array) -> tuple[float, Array, Array]:
-    """Volume m^3, centre (3,) m, and inertia (3, 3) m^5 about it, of the convex hull of points (n, 3) at unit density.
-    For flat points all are zero and the centre is their mean."""
-    middle, (faces,) = points.mean(axis=0), kept_arrays("hull_faces", [points], lambda: [_faces(points)])
+def hull_moments(clouds: Sequence[Array]) -> list[tuple[float, Array, Array]]:
+    """Volume m^3, centre (3,) m, and inertia (3, 3) m^5 about it, of the convex hull of each cloud of points (n, 3) at
+    unit density. For flat points all are zero and the centre is their mean."""
+    faces = kept_arrays("hull_faces", clouds, lambda: [_faces(points) for points in clouds])
+    return [_moments(points, corners) for points, corners in zip(clouds, faces, strict=True)]
+
+
+def _moments(points: Array, faces: Any) -> tuple[float, Array, Array]:
+    middle = points.mean(axis=0)
     if not len(faces):
         return 0.0, middle, np.zeros((3, 3))
     corners = points[faces] - middle  # (n, 3, 3): tetrahedra whose fourth corner is the origin

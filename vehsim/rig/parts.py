@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.intake.foreign import check_parts
 from vehsim.intake.usd import complaints, is_drawn, open_stage
-from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, mesh_of
+from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, hull_moments, mesh_of
 from vehsim.rig.rig import Rig
 from vehsim.runtime.cache import lookup, made_of, packed, store, unpacked
 
@@ -119,8 +120,9 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
                 f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part is used, "
                 "which may be far too large; mark collision meshes for accurate clearances"
             )
+        hulls = iter(convex_hulls([points for own in meshes for points in own]))
         found = [
-            Solid(part.name, part.path, part.T_rp, tuple(apply(part.T_rp, hull) for hull in convex_hulls(own)))
+            Solid(part.name, part.path, part.T_rp, tuple(apply(part.T_rp, next(hulls)) for _ in own))
             for part, own in zip(parts, meshes, strict=True)
         ]
         if files := _files(asset, held, began):
@@ -128,6 +130,15 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     for message in messages:
         warnings.warn(message, stacklevel=2)
     return found
+
+
+def moments(parts: Sequence[Part]) -> list[tuple[Part, float, Array, Array]]:
+    """Volume m^3, centre (3,) m, and inertia (3, 3) m^5 about it at unit density, in the rig root's frame, of each hull
+    of each part: of its collision meshes, or of its visible points if no part has any."""
+    marked = any(part.collides for part in parts)
+    found = [(part, hull) for part in parts for hull in (part.hulls if marked else (part.points,)) if len(hull)]
+    measured = hull_moments([apply(part.T_rp, hull) for part, hull in found])
+    return [(part, *each) for (part, _), each in zip(found, measured, strict=True)]
 
 
 def collision_hulls(asset: str | Path, root: str | None = None) -> list[Array]:
@@ -242,6 +253,7 @@ def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[s
         parent = owner.get(node.prim.GetParent().GetPath())
         draft = parent
         if node.is_part:
+            check_parts(len(drafts), made_of(asset))  # beside the root's own
             draft = _Draft(node.path, parent, _rigid(asset, node), node.prim.GetName(), [], [])
             drafts[node.path] = draft
         owner[node.prim.GetPath()] = draft

@@ -80,17 +80,11 @@ class _Shape:
 
 @lru_cache(maxsize=64)
 def _shape(asset: Path, root: str | None, written: Stamp) -> _Shape:
-    from vehsim.rig.hulls import hull_moments
-    from vehsim.rig.parts import read_parts
+    from vehsim.rig.parts import moments, read_parts
 
     parts = read_parts(asset, root)
     points = {p.path: p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3] for p in parts if len(p.points)}
-    marked = any(part.collides for part in parts)
-    volume = 0.0
-    for part in parts:
-        for hull in part.hulls if marked else ([part.points] if len(part.points) else []):
-            volume += hull_moments(hull @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])[0]
-    return _Shape(points, volume)
+    return _Shape(points, sum(volume for _, volume, _, _ in moments(parts)))
 
 
 FRONT, REAR = ("roll_fl", "roll_fr", "steer_fl", "steer_fr", "roll_front"), ("roll_rl", "roll_rr", "roll_rear")

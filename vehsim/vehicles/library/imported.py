@@ -21,7 +21,7 @@ import numpy as np
 
 from vehsim.errors import InputError
 from vehsim.intake import gltf
-from vehsim.intake.foreign import reading
+from vehsim.intake.foreign import check_parts, reading
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import SUFFIXES, open_stage
 from vehsim.runtime.cache import SOURCE, cache_folder, is_whole, seal
@@ -210,9 +210,14 @@ def _converted(path: Path, up: str, metres: float) -> Path:
     """A GLB, glTF or OBJ file as USD in the cache, keyed by content: nodes become Xforms, in the file's own units."""
     with reading(path, "asset"):
         data = path.read_bytes()
-    if path.suffix.lower() != ".obj" and (found := read_cached(motions, path, "asset")[0]):
-        remedy = "export the asset as USD to keep its motion"
-        warnings.warn(f"{path}: has {' and '.join(found)}; only its rest pose is read; {remedy}", stacklevel=2)
+    if path.suffix.lower() != ".obj":
+        found = read_cached(contents, path, "asset")[0]
+        check_parts(found["parts"], path)
+        if found["motion"]:
+            remedy = "export the asset as USD to keep its motion"
+            warnings.warn(
+                f"{path}: has {' and '.join(found['motion'])}; only its rest pose is read; {remedy}", stacklevel=2
+            )
     digest = hashlib.sha256(f"7 {path.name} {up} {metres}".encode() + data).hexdigest()[:24]
     folder = cache_folder() / "vehicles" / f"{path.stem}-{digest}"
     file = folder / f"{path.stem}.usdc"
@@ -244,10 +249,11 @@ def _is_whole(made: Path, by: Path) -> bool:
     return False
 
 
-def motions(path: Path) -> Answer:
-    """What a glTF contains of animation and skins, such as "2 skins". It runs in the reader process."""
+def contents(path: Path) -> Answer:
+    """How many parts a glTF has, and what of animation and skins, such as "2 skins". It runs in the reader process."""
     scene = gltf.scene_of(path, "asset")
-    return [f"{len(scene[key])} {key}" for key in ("animations", "skins") if scene.get(key)], []
+    motion = [f"{len(scene[key])} {key}" for key in ("animations", "skins") if scene.get(key)]
+    return {"parts": gltf.parts_of(scene), "motion": motion}, []
 
 
 def _read_obj(path: Path) -> Any:
@@ -286,7 +292,7 @@ def _read_obj(path: Path) -> Any:
 
 
 def _write_scene(scene: Any, file: Path, path: Path, up: str, metres: float) -> None:
-    from pxr import Gf, Usd, UsdGeom
+    from pxr import Gf, Sdf, Usd, UsdGeom
 
     file.parent.mkdir(parents=True)
     stage = Usd.Stage.CreateNew(str(file))
@@ -299,24 +305,34 @@ def _write_scene(scene: Any, file: Path, path: Path, up: str, metres: float) -> 
     base, children = scene.graph.base_frame, scene.graph.transforms.children
     materials: dict[int, Any] = {}
 
-    def add(node: str, parent: str, used: set[str]) -> None:
+    places: dict[str, tuple[str, str]] = {}  # node: paths of its Xform and of its mesh
+
+    def place(node: str, parent: str, used: set[str]) -> None:
         name = _free(_identifier(node), used)
-        xform = UsdGeom.Xform.Define(stage, f"{parent}/{name}")
-        edge = scene.graph.transforms.edge_data[(scene.graph.transforms.parents[node], node)]
-        matrix = np.asarray(edge.get("matrix"))
-        if matrix.ndim == 2 and not np.allclose(matrix, np.eye(4)):
-            xform.AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
         below = {"materials"}
-        geometry = scene.graph.transforms.node_data[node].get("geometry")
-        if geometry is not None and hasattr(scene.geometry[geometry], "faces"):
-            mesh = scene.geometry[geometry]
-            _write_mesh(stage, f"{parent}/{name}/{_free(name, below)}", mesh, top, materials, file.parent)
+        geometry = scene.geometry.get(scene.graph.transforms.node_data[node].get("geometry"))
+        mesh = f"{parent}/{name}/{_free(name, below)}" if hasattr(geometry, "faces") else ""
+        places[node] = f"{parent}/{name}", mesh
         for child in children.get(node, []):
-            add(child, f"{parent}/{name}", below)
+            place(child, f"{parent}/{name}", below)
 
     used = {"materials"}
     for node in children.get(base, []):
-        add(node, f"/{top}", used)
+        place(node, f"/{top}", used)
+    with Sdf.ChangeBlock():  # all prims at once: a stage composes all siblings of a new prim again
+        for path_of, mesh in places.values():
+            for at, kind in ((path_of, "Xform"), (mesh, "Mesh")):
+                if at:
+                    spec = Sdf.CreatePrimInLayer(stage.GetRootLayer(), at)
+                    spec.specifier, spec.typeName = Sdf.SpecifierDef, kind
+    for node, (path_of, mesh) in places.items():
+        edge = scene.graph.transforms.edge_data[(scene.graph.transforms.parents[node], node)]
+        matrix = np.asarray(edge.get("matrix"))
+        if matrix.ndim == 2 and not np.allclose(matrix, np.eye(4)):
+            UsdGeom.Xform.Get(stage, path_of).AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
+        if mesh:
+            geometry = scene.geometry[scene.graph.transforms.node_data[node]["geometry"]]
+            _write_mesh(stage, mesh, geometry, top, materials, file.parent)
     # this file is delivered, so it must not contain a folder of this machine
     stage.GetRootLayer().customLayerData = {SOURCE: path.name}
     stage.GetRootLayer().Save()
@@ -325,7 +341,7 @@ def _write_scene(scene: Any, file: Path, path: Path, up: str, metres: float) -> 
 def _write_mesh(stage: Any, path: str, mesh: Any, top: str, materials: dict[int, Any], folder: Path) -> None:
     from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
-    prim = UsdGeom.Mesh.Define(stage, path)
+    prim = UsdGeom.Mesh.Get(stage, path)
     points = np.asarray(mesh.vertices, np.float32)
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))

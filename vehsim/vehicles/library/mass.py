@@ -21,8 +21,7 @@ def weigh(toml: Path, asset: Path, root: str | None, density: Any) -> tuple[floa
     Volumes are those of the collision hulls, or of the parts' convex hulls if the asset marks no collision meshes;
     overlaps count twice. ``density`` kg/m^3: one number, or part path -> number with ``""`` for all others.
     """
-    from vehsim.rig.hulls import hull_moments
-    from vehsim.rig.parts import read_parts
+    from vehsim.rig.parts import moments, read_parts
 
     by_part = density if isinstance(density, Mapping) else {"": density}
     for name, value in by_part.items():
@@ -38,18 +37,15 @@ def weigh(toml: Path, asset: Path, root: str | None, density: Any) -> tuple[floa
     if unknown := sorted(set(by_part) - {""} - {part.path for part in parts}):
         known = ", ".join(part.path for part in parts if part.path)
         raise InputError("no such part", f"choose one of {known}", key=f"physics.density.{unknown[0]!r}", file=toml)
-    marked = any(part.collides for part in parts)
     mass, moment, second = 0.0, np.zeros(3), np.zeros((3, 3))
-    for part in parts:
+    for part, volume, c, about_c in moments(parts):
         rho = float(by_part[part.path] if part.path in by_part else by_part.get("", 0.0))
-        for points in part.hulls if marked else ([part.points] if len(part.points) else []):
-            volume, c, about_c = hull_moments(points @ part.T_rp[:3, :3].T + part.T_rp[:3, 3])
-            m = rho * volume
-            if rho and not volume:
-                message = f"{toml}: physics.density: {part.path or 'the root'} is flat: no mass; set mass to override"
-                warnings.warn(message, stacklevel=6)
-            mass, moment = mass + m, moment + m * c
-            second = second + rho * about_c + m * (c @ c * np.eye(3) - np.outer(c, c))
+        m = rho * volume
+        if rho and not volume:
+            message = f"{toml}: physics.density: {part.path or 'the root'} is flat: no mass; set mass to override"
+            warnings.warn(message, stacklevel=6)
+        mass, moment = mass + m, moment + m * c
+        second = second + rho * about_c + m * (c @ c * np.eye(3) - np.outer(c, c))
     if not mass > 0:
         raise InputError(
             "the parts that have one enclose no volume", "give mass and inertia", key="physics.density", file=toml
