@@ -152,15 +152,22 @@ MULTI_BODY = {
         [0.0097, 0.1888, 0.255, 0.2571, 0.2572, 0.2568, 0.2565, 0.2562],
         [0.588, 3.196, 3.653, 3.849, 3.838, 3.837, 3.827, 3.818],
     ),
+    "bend under braking, 20 m/s": (
+        [0.0069, 0.1552, 0.2253, 0.2316, 0.2568, 0.3158, 0.3049, 0.2871],
+        [0.432, 2.981, 4.113, 4.546, 4.69, 5.542, 5.699, 5.25],
+    ),
 }
-SPEED = {"lane change, 30 m/s, 1": 30.0, "bend, 15 m/s, 0.67": 15.0}
+SPEED = {"lane change, 30 m/s, 1": 30.0, "bend, 15 m/s, 0.67": 15.0, "bend under braking, 20 m/s": 20.0}
+BRAKES = {"bend under braking, 20 m/s": 3.0}
+"""Braking force over mass, m/s^2, from 1.2 s on."""
 
 
 def turned(name, t):
     """Rate of the steering angle, rad/s, as in the benchmark."""
     if name.startswith("lane change"):
         return 0.16 * np.cos(5 * t) * (t < 0.4 * np.pi)
-    return np.interp(t, [0.2, 0.21, 0.5, 0.51], [0, 0.22 * 0.67, 0.22 * 0.67, 0])
+    rate = 0.1 if name in BRAKES else 0.22 * 0.67
+    return np.interp(t, [0.2, 0.21, 0.5, 0.51], [0, rate, rate, 0])
 
 
 @pytest.mark.parametrize("name", MULTI_BODY)
@@ -177,6 +184,7 @@ def test_a_multi_body_model_turns_and_sways_alike(name):
     rate = turned(name, times)
     delta = np.concatenate([[0], np.cumsum(np.diff(times) * (rate[1:] + rate[:-1]) / 2)])
     controls = np.zeros((len(times), 4))
+    controls[:, 1] = 1093.2952334674046 * 0.344 * np.interp(times, [1, 1.2], [0, BRAKES.get(name, 0.0)])
     controls[:, 3] = rate / np.cos(delta) ** 2
     clip = Integrator(car, times[1]).rollout(State(twist=(0, SPEED[name], 0)), controls)
     at = {joint: k for k, joint in enumerate(car.joints)}
