@@ -49,3 +49,13 @@ def test_colours_are_those_of_the_terrain_and_painted_once(painted: list[float],
     again = picture(ramp(1.5), tmp_path / "again")
     np.testing.assert_array_equal(again, steep)
     assert painted == [15.0, 0.1]
+
+
+def test_level_ground_has_stones_and_no_seams() -> None:
+    """It is loose stones, not a smooth road: texels differ from those beside them, also across the picture's edge."""
+    colours = ground._level_colours()
+    light = colours.mean(axis=2) / colours.mean()
+    assert 0.08 < np.std(light - (np.roll(light, 3, 0) + np.roll(light, -3, 0)) / 2) < 0.3
+    for axis in (0, 1):
+        steps = np.abs(light - np.roll(light, 1, axis)).mean(axis=1 - axis)
+        assert steps[0] < 1.5 * np.median(steps)

@@ -26,10 +26,14 @@ Array = NDArray[np.float64]
 
 PICTURE = "ground"
 """Cache entries of pictures."""
-TEXTURE = 2048
+TEXTURE, LEVEL_TEXTURE = 2048, 1024
 TEXELS_PER_CELL = 12
 TILE = 48.0
 """Width of the repeated texture of level ground, m."""
+STONES = (0.7, 1.5)
+"""Sizes of the stones on level ground, texels: of some 3 and 7 cm."""
+STONE_CONTRAST = 0.12
+"""Standard deviation of their brightness over that of the dust."""
 SAND = ((0.36, 0.28, 0.19), (0.42, 0.33, 0.23))
 ROCK = ((0.24, 0.17, 0.12), (0.33, 0.24, 0.17))
 """Linear colours at the lowest and the highest point."""
@@ -129,11 +133,17 @@ def _relief_colours(terrain: Terrain) -> Array:
 
 
 def _level_colours() -> Array:
-    """Linear colours (n, n, 3) of dusty hard ground, repeating seamlessly."""
-    noise, patches = _noise((TEXTURE, TEXTURE)), _noise((TEXTURE, TEXTURE), coarse=2, octaves=4, seed=7)
+    """Linear colours (n, n, 3) of dust with loose stones, repeating seamlessly."""
+    from scipy.ndimage import gaussian_filter
+
+    size = (LEVEL_TEXTURE, LEVEL_TEXTURE)
+    noise, patches = _noise(size), _noise(size, coarse=2, octaves=4, seed=7)
     dust = np.clip(0.5 + patches, 0, 1)[..., None]
-    dark, bright = np.array((0.17, 0.15, 0.13)), np.array((0.30, 0.25, 0.20))
-    return (dark + dust * (bright - dark)) * (1 + 0.30 * noise[..., None])
+    dark, bright = np.array((0.20, 0.165, 0.125)), np.array((0.36, 0.30, 0.225))
+    stones = np.random.default_rng(11).normal(size=(2, *size))
+    stones = sum(gaussian_filter(one, width, mode="wrap") * width for one, width in zip(stones, STONES, strict=True))
+    light = 1 + 0.30 * noise + STONE_CONTRAST * np.clip(stones / stones.std(), -2, 2)
+    return (dark + dust * (bright - dark)) * light[..., None]
 
 
 def _noise(
