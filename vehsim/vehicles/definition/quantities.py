@@ -22,6 +22,20 @@ class Unit:
     name: str
 
 
+@dataclass(frozen=True)
+class With:
+    """The number has an effect only if another, ``key``, is not zero: the solidity of a rotor with its radius."""
+
+    key: str
+
+
+@dataclass(frozen=True)
+class Without:
+    """The number has an effect only if another, ``key``, is zero: its law takes the place of this one."""
+
+    key: str
+
+
 def in_degrees(unit: str) -> tuple[float, str]:
     """The factor from an SI unit to the one that users see, and its name: degrees in place of radians."""
     return (180 / math.pi if unit.startswith("rad") else 1.0), unit.replace("rad", "deg")
@@ -41,6 +55,7 @@ Distance = Annotated[float, Unit("m"), Ge(0)]
 Coordinate = Annotated[float, Unit("m")]
 Area = Annotated[float, Unit("m^2"), Ge(0)]
 Force = Annotated[float, Unit("N"), Gt(0)]
+Pressing = Annotated[float, Unit("N"), Ge(0)]
 Acceleration = Annotated[float, Unit("m/s^2")]
 AngularRate = Annotated[float, Unit("rad/s")]
 AddedMass = Annotated[float, Unit("kg, kg m^2"), Ge(0)]

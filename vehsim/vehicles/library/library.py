@@ -31,6 +31,7 @@ from vehsim.vehicles.library.mass import fill_in, weigh
 from vehsim.vehicles.library.parameters import (
     TOPS,
     blamed,
+    check_effect,
     check_parameters,
     check_physics,
     in_unit,
@@ -155,6 +156,7 @@ def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
     factory = MODELS[model]
     if given:
         check_parameters(factory, given)
+        check_effect(factory, data.get("physics", {}), given)
         data = replaced(data, given)
     physics = _measured(path, data, _weighed(path, factory, data))
     try:

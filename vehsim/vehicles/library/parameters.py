@@ -13,12 +13,13 @@ from functools import cache
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
+import numpy as np
 from annotated_types import Ge, Gt, Len
 from pydantic import Field, ValidationError, create_model
 
 from vehsim.errors import InputError, Problem
 from vehsim.intake.tables import Array, Table, problems_of
-from vehsim.vehicles.definition.quantities import Unit
+from vehsim.vehicles.definition.quantities import Unit, With, Without
 from vehsim.vehicles.library.file import (
     IN_RANGE,
     ActuatorTable,
@@ -61,6 +62,30 @@ def check_physics(factory: Callable[..., Any], table: Mapping[str, Any]) -> None
 def check_parameters(factory: Callable[..., Any], parameters: Mapping[str, Any]) -> None:
     """Raise ``InputError`` with everything that is wrong with numbers that replace those of a ``vehicle.toml``."""
     _check(_replacing(factory), parameters, "parameters.")
+
+
+def check_effect(factory: Callable[..., Any], own: Mapping[str, Any], parameters: Mapping[str, Any]) -> None:
+    """Raise ``InputError`` for each of ``parameters`` that changes nothing, because of another number (`With`,
+    `Without`). ``own``: the ``[physics]`` that they replace."""
+    hints = get_type_hints(factory, include_extras=True)
+    defaults = {key: one.default for key, one in inspect.signature(factory).parameters.items()}
+    idle = []
+    for key, value in parameters.items():
+        if key not in hints or np.array_equal(value, own.get(key, defaults[key])):
+            continue
+        for rule in (each for each in _parts(hints[key])[1] if isinstance(each, With | Without)):
+            other = parameters.get(rule.key, own.get(rule.key, defaults[rule.key]))
+            if isinstance(rule, With) and not np.any(other):
+                message, remedy = f"changes nothing while {rule.key} is 0", f"give {rule.key} too, or leave it out"
+                idle.append(Problem(f"parameters.{key}", message, remedy, value))
+            if isinstance(rule, Without) and np.any(other):
+                message, remedy = (
+                    f"changes nothing while {rule.key} is above 0",
+                    f"leave it out, or give {rule.key} = 0",
+                )
+                idle.append(Problem(f"parameters.{key}", message, remedy, value))
+    if idle:
+        raise InputError.of(*idle)
 
 
 def replaced(data: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -148,6 +173,10 @@ def _parts(hint: Any) -> tuple[Any, list[Any]]:
 def _words(hint: Any) -> str:
     """A type in words: "a number above zero, in kg"."""
     base, ranges = _parts(hint)
+    if rules := [one for one in ranges if isinstance(one, With | Without)]:
+        plain = Annotated[base, *(one for one in ranges if one not in rules)]  # type: ignore[valid-type]
+        effect = [f"{'without' if isinstance(one, With) else 'with'} {one.key}" for one in rules]
+        return f"{_words(plain)}, no effect {' and '.join(effect)}"
     if get_origin(base) is Literal:
         return f"one of {', '.join(map(repr, get_args(base)))}"
     if get_origin(base) in (Sequence, list):

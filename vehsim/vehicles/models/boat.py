@@ -33,8 +33,11 @@ from vehsim.vehicles.definition.quantities import (
     LinearDamping,
     Mass,
     Place,
+    Pressing,
     PrincipalInertia,
     QuadraticDamping,
+    With,
+    Without,
 )
 from vehsim.vehicles.definition.resistance import Planing, Running, SpeedSpline, running
 
@@ -53,30 +56,30 @@ def boat(
     propeller_diameter: Length = 0.35,
     propeller_speed: AngularRate = 200.0,
     full_thrust: Force = 5000.0,
-    rudder: Place = (0.0, 0.0, 0.0),
+    rudder: Annotated[Place, With("rudder_area")] = (0.0, 0.0, 0.0),
     rudder_area: Area = 0.0,
-    rudder_slope: Coefficient = 4.0,
+    rudder_slope: Annotated[Coefficient, With("rudder_area")] = 4.0,
     damping: Annotated[Sequence[LinearDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     damping_quadratic: Annotated[Sequence[QuadraticDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     wetted_centre: Coordinate = 0.0,
     wetted_radius: Distance = 0.0,
     reference_area: Area = 0.0,
-    normal_force: Coefficient = 0.0,
+    normal_force: Pressing = 0.0,
     impact: Coefficient = 0.0,
-    planing: Coefficient = 0.0,
+    planing: Annotated[Coefficient, Without("chine_beam")] = 0.0,
     impact_drag: Annotated[Sequence[QuadraticDamping], Len(2, 2)] = (0.0, 0.0),
     added_mass: Annotated[Sequence[AddedMass], Len(6, 6)] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     wetted_length: Distance = 0.0,
     wetted_area: Area = 0.0,
-    form_factor: Coefficient = 0.0,
+    form_factor: Annotated[Coefficient, With("wetted_area")] = 0.0,
     chine_beam: Distance = 0.0,
-    deadrise: Angle = 0.0,
-    transom: Annotated[Sequence[Coordinate], Len(2, 2)] = (0.0, 0.0),
-    running_centre: Coordinate = 0.0,
-    running_radius: Distance = 0.0,
+    deadrise: Annotated[Angle, With("chine_beam")] = 0.0,
+    transom: Annotated[Sequence[Coordinate], Len(2, 2), With("chine_beam")] = (0.0, 0.0),
+    running_centre: Annotated[Coordinate, With("running_radius")] = 0.0,
+    running_radius: Annotated[Distance, With("wetted_area")] = 0.0,
     wind_area: Annotated[Sequence[Area], Len(2, 2)] = (0.0, 0.0),
-    wind_centre: Place = (0.0, 0.0, 0.0),
-    wind_coefficient: Coefficient = 1.0,
+    wind_centre: Annotated[Place, With("wind_area")] = (0.0, 0.0, 0.0),
+    wind_coefficient: Annotated[Coefficient, With("wind_area")] = 1.0,
 ) -> Holonomic:
     """A boat. Positions are in the body frame, m from the centre of mass.
 
@@ -96,6 +99,14 @@ def boat(
     Wind: ``wind_area`` seen from ahead and from the side, m^2, pushed at ``wind_centre``, ``wind_coefficient``.
     """
     places = [tuple(map(float, place)) for place in thrusters]
+    if outboard not in (0, 1):
+        raise InputError(
+            "neither 0 nor 1",
+            "give 1 for an outboard that steers, 0 for thrusters that stand still",
+            key="physics.outboard",
+            value=outboard,
+            subject=name,
+        )
     if outboard and len(places) != 1:
         raise InputError(
             "an outboard is one thruster", "or set outboard = 0", key="physics.thrusters", value=places, subject=name

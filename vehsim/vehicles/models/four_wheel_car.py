@@ -20,7 +20,7 @@ from vehsim.lie import SE2
 from vehsim.rig.rig import Channel
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.nonholonomic import Nonholonomic
-from vehsim.vehicles.definition.quantities import Inertia, Length, Mass, Unit
+from vehsim.vehicles.definition.quantities import Inertia, Length, Mass, Unit, With
 from vehsim.vehicles.definition.surfaces import SurfaceName
 from vehsim.vehicles.models.ground import steer_channels
 from vehsim.vehicles.models.tyres import (
@@ -47,7 +47,7 @@ LARGEST_STEP = 1 / 2400
 Stiffness = Annotated[Sequence[Annotated[float, Unit("N/m"), Gt(0)]], Len(2, 2)]
 Damping = Annotated[Sequence[Annotated[float, Unit("N s/m"), Ge(0)]], Len(2, 2)]
 Torsion = Annotated[Sequence[Annotated[float, Unit("N m/rad"), Ge(0)]], Len(2, 2)]
-CamberGain = Annotated[Sequence[Annotated[float, Unit("rad/m")]], Len(2, 2)]
+CamberGain = Annotated[Sequence[Annotated[float, Unit("rad/m")]], Len(2, 2), With("tyre_camber")]
 Locked = Annotated[Sequence[Share], Len(2, 2)]
 SIDES = {"l": 1.0, "r": -1.0}
 BODY = ("heave", "pitch", "roll")
