@@ -200,7 +200,13 @@ def _resampled(heights: Array, cell: tuple[float, float], spacing: float) -> tup
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     steps = np.array([spacing / cell[1], spacing / cell[0]])
-    smooth = gaussian_filter(heights, np.where(steps > 1, steps / 2, 0.0), mode="nearest")
+    spread = np.where(steps > 1, steps / 2, 0.0)
+    around = np.ceil(4 * spread).astype(int)  # as far as the filter reaches
+    # mirrored through its edge, a slope goes on there; repeating the last height would flatten it
+    padded = np.pad(heights, [(n, n) for n in around], mode="reflect", reflect_type="odd")
+    smooth = gaussian_filter(padded, spread)[
+        tuple(slice(n, size + n) for n, size in zip(around, heights.shape, strict=True))
+    ]
     counts = np.floor((np.array(heights.shape) - 1) / steps + 1e-9).astype(int) + 1
     if min(counts) < 2 or np.prod(counts, dtype=float) > MAX_POINTS:
         remedy = f"give a spacing that makes between 2 x 2 and {MAX_POINTS:,} heights"
