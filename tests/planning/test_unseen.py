@@ -53,6 +53,19 @@ def test_the_sampling_planner_finds_paths_through_gaps_that_are_wide_enough(vehi
     assert find_path(Problem(vehicle, marks, vehsim.World(obstacles=walls), asked), 5.0) is found
 
 
+def test_a_mark_that_only_the_vehicles_surface_keeps_clear_of_rock_is_refined():
+    """The spheres around the vehicle are 2 cm nearer than the clearance at the first mark, where nothing can move: the
+    more segments, the farther it jumped away at first, until no motion was found."""
+    plan = FAMILIES["hills"](757).plan()
+    assert plan.success, plan.message
+
+
+def test_a_stunt_that_goes_another_way_does_not_replace_the_character():
+    """A solve of 82 iterations was left at 60 for a stunt past the other side, which could not be refined."""
+    plan = FAMILIES["gaps"](32).plan()
+    assert plan.success and "stunt" not in plan.message, plan.message
+
+
 def test_problems_are_a_fair_sample_at_any_time():
     whole = in_turn(list(FAMILIES))
     assert sorted(whole) == sorted((family, seed) for family, size in SIZES.items() for seed in range(size))

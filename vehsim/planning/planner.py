@@ -506,16 +506,16 @@ def _quickly(run: Run, begun: Iterate, paths: Sequence[Array], clip: Clip | None
     """The iterate solved if that takes few iterations, else as it was, with its stunt, which may have failed.
 
     Raises `_TooHard` if it is too hard even near the motion of the stunt, which is found at once where marks leave too
-    little time for the character.
+    little time for the character. Where the unfinished motion is softer than that, it goes another way.
     """
     quick = solve(run, begun, QUICK)
     if quick.success:
         return quick, None
     stunt = without_character(run, begun, paths, clip)
     near = nearby(run, stunt, begun.request.traits) if stunt.success else stunt
-    if _is_too_hard(run, near):
+    if _is_too_hard(run, near) and not _strain(quick, begun.request) < _strain(near, begun.request):
         raise _TooHard(near)
-    return quick, stunt
+    return begun, stunt
 
 
 def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:

@@ -134,9 +134,9 @@ def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
     """Solve from the iterate's variables; the durations of legs to free marks vary until they are fixed.
 
     A solution that violates inactive constraints activates them, and is solved again from the same start. ``patience``:
-    that of one solve; when it ends, the iterate is left as it was.
+    that of one solve; when it ends, the unfinished motion is returned.
     """
-    given, solved = iterate, _solve_active(run, iterate, "guess", patience)
+    solved = _solve_active(run, iterate, "guess", patience)
     for _ in range(LOOKS):
         if run.deadline.late or not (solved.success or patience is ENDLESS):
             break
@@ -145,7 +145,7 @@ def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
             break
         iterate = replace(iterate, blocks=blocks)
         solved = _solve_active(run, iterate, "again", patience)
-    return solved if solved.success or patience is ENDLESS else given
+    return solved
 
 
 def _solve_active(run: Run, iterate: Iterate, start: Start, patience: Patience) -> Iterate:

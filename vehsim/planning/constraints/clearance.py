@@ -223,17 +223,28 @@ class Clearance(Block):
         return bool((surface > self.required + ROOMY).any())
 
     def squeezes(self, guess: Trajectory) -> bool:
-        """Whether along a guess the vehicle's surface has room everywhere, but the spheres do not."""
+        """Whether along a guess the vehicle's surface has room everywhere, but the spheres do not.
+
+        At marks, where the motion cannot give way, spheres that are a little too near count.
+        """
         if self.cover is None or self.cover.static is None or self.spare is not None or self._landings():
             return False
-        positions, rotations = self._poses(guess)
-        tight = self._spheres(positions, rotations).min(axis=1) < self.required - ROOMY
-        return bool(tight.any() and (self._surface(positions[tight], rotations[tight]) > self.required).all())
+        given = [i for i, mark in enumerate(self.request.marks) if mark.position is not None]
+        at_marks = {KNOTS: _knots(guess.layout, guess.layout.mark_knots[given])}
+        for places, room in ((None, ROOMY), (at_marks, FINEST)):
+            positions, rotations = self._poses(guess, places)
+            tight = self._spheres(positions, rotations).min(axis=1) < self.required - room
+            if tight.any() and (self._surface(positions[tight], rotations[tight]) > self.required - FINEST).all():
+                return True
+        return False
 
-    def _poses(self, trajectory: Trajectory) -> tuple[Array, Array]:
-        """Positions (places, 3) m and rotations (places, 3, 3) of the vehicle."""
+    def _poses(
+        self, trajectory: Trajectory, places: Mapping[Site, NDArray[np.intp]] | None = None
+    ) -> tuple[Array, Array]:
+        """Positions (places, 3) m and rotations (places, 3, 3) of the vehicle; ``places``: as from `_places`, which is
+        the default."""
         transcription, found = trajectory.transcription, [np.zeros((0, 12))]
-        for site, y in _places(trajectory.layout, self.request.marks).items():
+        for site, y in (places or _places(trajectory.layout, self.request.marks)).items():
             if y.shape[1]:
                 v = transcription.symbols(*site.variables)
                 view = site.view(transcription, v)
@@ -389,9 +400,14 @@ def _places(layout: Layout, marks: Sequence[Mark]) -> dict[Site, NDArray[np.intp
     """Indices of the variables (n, count) of the places by site."""
     knot, half = _free_places(layout, marks)
     return {
-        KNOTS: np.vstack([layout.knot(knot), layout.duration(knot - 1)]),
+        KNOTS: _knots(layout, knot),
         MIDDLES: np.vstack([layout.knot(half), layout.velocity(half), layout.duration(half)]),
     }
+
+
+def _knots(layout: Layout, knot: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Indices of the variables (n, count) of the site `KNOTS` at these knots."""
+    return np.vstack([layout.knot(knot), layout.duration(np.maximum(knot - 1, 0))])
 
 
 def _split(values: NDArray[Any], layout: Layout, marks: Sequence[Mark]) -> dict[Site, NDArray[Any]]:
