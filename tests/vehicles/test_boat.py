@@ -37,6 +37,18 @@ def test_planar_and_floating_boats_drive_equally():
                 assert flat[j] == pytest.approx(wet[i], rel=0.15), name
 
 
+def test_damping_ahead_comes_on_top_of_the_running_hulls_resistance():
+    """In water as in the plane: there it acts on the wetted surface, which shrinks as the boat planes. It had no effect
+    in water, where the pressure on the bottom is fitted to the resistance."""
+    thrust = 4500.0
+    damped = vehsim.load_vehicle("boat", {"damping": [150.0, 500.0, 4500.0]})
+    wet, flat, undamped = (
+        vehsim.simulate(boat, world, (thrust, 0.0), duration=12.0, step=1 / 48).twists[-1][axis]
+        for boat, world, axis in ((damped, World(water=0.0), 3), (damped, World(), 1), (BOAT, World(), 1))
+    )
+    assert flat < wet < 0.85 * undamped, (flat, wet, undamped)
+
+
 def test_terminal_speed_of_the_planar_boat():
     """Thrust = resistance of the hull + the air's drag on the part above the water."""
     clip = vehsim.simulate(BOAT, None, (2000.0, 0.0), duration=60.0, step=1 / 24)

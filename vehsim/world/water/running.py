@@ -134,6 +134,8 @@ def law_of(boat: Boat) -> Law:
         planing = rows[first, 0] * speeds[k] / speeds[first]
         guess = _slow(boat, running, k, replace(guess, planing=planing, rise=rise[k]))
         rows[k] = guess.planing, guess.vented, guess.rate
+    # the hull's own damping took part in the fit, and is to come on top of the running hull's resistance
+    rows[slow:, 2] += float(hull.damping[0]) + float(hull.quadratic[0]) * speeds[slow:]
     usual = running.resistance / np.maximum(speeds, 1e-9)
     share = speeds[:slow] / speeds[slow]
     rows[:slow] = rows[slow] * np.column_stack([share, share**2, usual[:slow] / usual[slow]])
