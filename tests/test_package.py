@@ -156,6 +156,28 @@ def test_what_cannot_draw_here_says_what_to_do_on_this_system(
         Canvas(mujoco.MjModel.from_xml_string("<mujoco/>"), 32, 18)
 
 
+def test_a_context_that_only_warned_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """GLFW, with which MuJoCo draws on Windows, makes a context without a desktop; only its first use fails."""
+    import mujoco
+
+    from vehsim.errors import ExportError
+    from vehsim.exporters.pictures.canvas import Canvas
+
+    class Silent:
+        def __init__(self, width: int, height: int) -> None: ...
+        def make_current(self) -> None: ...
+        def free(self) -> None: ...
+
+    def fail(model: object, scale: object) -> None:
+        raise mujoco.FatalError("a valid OpenGL context has not been created before mjr_makeContext was called")
+
+    monkeypatch.setattr(mujoco, "GLContext", Silent)
+    monkeypatch.setattr(mujoco, "MjrContext", fail)
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(ExportError, match=r"no OpenGL: .*; run it in a desktop session"):
+        Canvas(mujoco.MjModel.from_xml_string("<mujoco/>"), 32, 18)
+
+
 def test_every_dependency_has_an_upper_bound() -> None:
     """The next major version of a library may break an installed vehsim."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

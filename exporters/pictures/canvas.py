@@ -35,6 +35,11 @@ OPAQUE, TRANSLUCENT, CASTING = 0, 1, 2
 """Geom groups; translucent geoms that cast shadows are ``CASTING``."""
 
 
+def _without_opengl(error: Exception) -> ExportError:
+    missing, remedy = NO_OPENGL.get(sys.platform, NO_OPENGL["linux"])
+    return ExportError(f"{missing}: {_first_line(error)}", remedy)
+
+
 class Canvas:
     """An off-screen OpenGL context with MuJoCo's renderer and one scene. Raises ``ExportError`` without EGL."""
 
@@ -45,12 +50,13 @@ class Canvas:
             self._gl: Any = mujoco.GLContext(width, height)
             self._gl.make_current()
         except Exception as error:  # MuJoCo and PyOpenGL may raise anything
-            missing, remedy = NO_OPENGL.get(sys.platform, NO_OPENGL["linux"])
-            raise ExportError(f"{missing}: {_first_line(error)}", remedy) from error
+            raise _without_opengl(error) from error
         try:
             self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:
             self._gl.free()
+            if "valid OpenGL context" in str(error):  # GLFW, of Windows, only warns that it has none
+                raise _without_opengl(error) from error
             message = f"OpenGL cannot draw {width} x {height} px off-screen here ({_first_line(error)})"
             raise ExportError(message, "ask for a smaller render.size or fewer render.samples") from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
