@@ -29,6 +29,7 @@ from vehsim.planning.explain import elastic
 from vehsim.planning.explain.bounds import strength
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.explain.feasibility import refusals
+from vehsim.planning.iterate import Why
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.solver import Solver
 from vehsim.planning.request import ranges
@@ -145,6 +146,22 @@ def test_a_mark_missed_near_an_obstacle_comes_with_a_possible_clearance():
         warnings.simplefilter("ignore")
         made = vehsim.plan(boat, world, marks, clearance=failed.possible_clearance, segments=32)
     assert made.success and made.clearance >= failed.possible_clearance - 1e-3
+
+
+def test_a_mark_missed_in_the_open_comes_with_later_frames(monkeypatch):
+    """As for a slide that no relaxed problem shows to be too early: more time is tried before nothing is named."""
+    for search in ("too_early", "_by_leg"):
+        monkeypatch.setattr(elastic, search, lambda run, guess: Why())
+    helicopter = vehsim.load_vehicle("helicopter_lie")
+
+    def planned(frame):
+        marks = [Mark(1, position=(0, 0, 20), velocity=REST), Mark(frame, position=(40, 0, 20), velocity=REST)]
+        return vehsim.plan(helicopter, None, marks, segments=12, limits={"bank": np.deg2rad(20)}, character="stunt")
+
+    with pytest.warns(UserWarning, match=r"missed by .*; a motion was found with mark\[1\].frame = \d+$"):
+        failed = planned(130)
+    assert failed.possible["mark[1]"] in (143, 163, 195)
+    assert planned(failed.possible["mark[1]"]).success
 
 
 def test_the_earliest_frame_of_a_slide_is_one_that_its_controls_repeat():

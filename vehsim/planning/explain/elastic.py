@@ -34,6 +34,8 @@ ITERATIONS = 200
 """Maximum number of iterations for each relaxed problem."""
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
 """Shares of the time since the first mark that are added until a plan at whole frames is found."""
+MORE_TIME = (0.1, 0.25, 0.5)
+"""Shares of the time since the first mark that are added, in turn, where marks far from obstacles are missed."""
 SHARES = (0.5, 0.25, 0.0)
 """Shares of the requested clearance that are tried, in turn, where marks near obstacles are missed."""
 NOTHING = 1e-3
@@ -81,10 +83,13 @@ def diagnose(run: Run, guess: Iterate) -> tuple[Why, Array | None]:
     if x is not None and not missed:
         return Why(), x
     late = too_early(run, guess if x is None else replace(guess, x=x)) or _by_leg(run, guess)
-    clearance = _possible_clearance(run, guess) if missed and not late else None
+    unknown = bool(missed) and not late
+    clearance = _possible_clearance(run, guess) if unknown else None
+    later = _with_more_time(run, guess) if unknown and not guess.blocked else Why()
     closer = "" if clearance is None else f"a motion was found with clearance = {clearance:g}"
-    texts = filter(None, (late.text, missed, closer, LOOSEN if missed and not late and not closer else ""))
-    return replace(late, text="; ".join(texts), clearance=clearance), None
+    remedies = [text for text in (closer, later.text) if text] or [LOOSEN] * unknown
+    texts = filter(None, (late.text, missed, *remedies))
+    return replace(late or later, text="; ".join(texts), clearance=clearance), None
 
 
 def _possible_clearance(run: Run, failed: Iterate) -> float | None:
@@ -104,6 +109,23 @@ def _possible_clearance(run: Run, failed: Iterate) -> float | None:
         if solve(other, guess).success:
             return closer.clearance
     return None
+
+
+def _with_more_time(run: Run, failed: Iterate) -> Why:
+    """Later frames of all marks with which a motion was found; empty if none was. For motion that no relaxed problem
+    shows to be too early, such as a slide."""
+    marks = failed.request.marks
+    given = {i: int(mark.frame) for i, mark in enumerate(marks) if i and mark.given_frame is not None}
+    if not given or any(mark.hold for mark in marks) or any(term.frames is not None for term in failed.request.terms):
+        return Why()
+    first = int(marks[0].frame)
+    for share in MORE_TIME:
+        later = {i: math.ceil(frame + share * (frame - first)) for i, frame in given.items()}
+        if not run.deadline.late and _is_met(run, failed, later):
+            at = {marks[i].name: frame for i, frame in later.items()}
+            frames = [f"{name}.frame = {frame}" for name, frame in at.items()]
+            return Why(f"a motion was found with {frames[0]}{_then(frames[1:])}", at)
+    return Why()
 
 
 def _missed(run: Run, guess: Iterate) -> tuple[str, Array | None]:
