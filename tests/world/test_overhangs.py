@@ -18,7 +18,7 @@ from vehsim.vehicles import load_vehicle
 from vehsim.world import obstacles
 from vehsim.world.distance.field import distance_field
 from vehsim.world.ground.rock import rock_met, rock_under_wheels
-from vehsim.world.terrain.surface import LIFT, _spanned, looks_up, open_edges, surface_of
+from vehsim.world.terrain.surface import LIFT, TerrainSurface, _spanned, looks_up, open_edges, surface_of
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -136,6 +136,34 @@ def test_rock_on_the_middle_of_a_large_face_leaves_the_rest_of_it_ground(tmp_pat
     np.testing.assert_allclose(terrain.height([[80, -20], [36, -13]]), [40, 34], atol=1e-9)
     route = World(terrain).route((-40, 0, 12), (110, 14, 14), 3.0)
     assert np.abs(route[(route[:, 0] > 30) & (route[:, 0] < 42), 1]).max() < 7  # through the gate
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_faces_that_nothing_touches_are_ground_as_a_whole(seed, monkeypatch):
+    """On slopes of large faces, with boxes on, in and above them and at their corners: as if each place were asked."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(-20, 20, rng.integers(2, 7))
+    xy = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    slope = rng.uniform(-0.3, 0.3, 2)
+    at = np.arange(len(xy)).reshape(len(x), -1)
+    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[:-1, 1:], at[1:, 1:]
+    faces = np.concatenate([np.stack(each, axis=-1).reshape(-1, 3) for each in ((a, b, d), (a, d, c))])
+    meshes = [trimesh.Trimesh(np.column_stack([xy, xy @ slope]), faces, process=False)]
+    for _ in range(seed % 6):
+        size, place = rng.uniform(1, 8, 3), rng.choice(xy) if rng.random() < 0.4 else rng.uniform(-18, 18, 2)
+        T_wb = np.eye(4)
+        T_wb[:3, :3] = Rotation.from_rotvec(rng.choice([0, 1]) * rng.normal(size=3)).as_matrix()
+        T_wb[:3, 3] = [*place, place @ slope + rng.choice([0, size[2] / 2, 6])]
+        meshes.append(trimesh.creation.box(extents=size, transform=T_wb))
+    mesh = trimesh.util.concatenate(meshes)
+    surface = surface_of(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    places = rng.uniform(-19.9, 19.9, (400, 2))
+    found = surface.floor(places), surface.levels(places)
+    assert seed % 6 or not surface._ground[1].any()
+    monkeypatch.setattr("vehsim.world.terrain.surface.touched_from_above", lambda corners, those: those >= 0)
+    each = TerrainSurface(surface.points, surface.faces)
+    np.testing.assert_array_equal(found[0], each.floor(places))
+    np.testing.assert_array_equal(found[1], each.levels(places))
 
 
 @pytest.mark.parametrize("suffix", ["stl", "ply", "glb"])

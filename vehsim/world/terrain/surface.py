@@ -31,6 +31,11 @@ ASIDE = np.array([1e-4, 0.7e-4, 0.0])
 
 LARGE = 0.01
 """Longest edge of a face that is ground as a whole or not at all, as a share of the terrain's width."""
+MOST_FACES, MOST_PAIRS, BUNCH = 300_000, 2_000_000, 32
+"""Up to so many faces, and pairs of them above each other, larger faces are also compared with what stands on them; so
+many at a time."""
+EDGE = 1e-6
+"""How far within its edges a triangle is compared with others, as a share of its size."""
 LEVELS = 8
 """Largest number of levels of ground at a place."""
 
@@ -83,20 +88,23 @@ class TerrainSurface:
         a metre at 4,600 km."""
         return np.asarray((self.points.min(axis=0) + self.points.max(axis=0)) / 2)
 
-    @cached_property
+    @property
     def ground(self) -> Faces:
         """The faces (k, 3) on which something can stand: they look up, and the space above their middle is free, or
-        above a part of a large one."""
-        corners = self.points[self.faces]
-        found = looks_up(corners)
-        small = found & ~self._large(corners)
-        found[small] = self.free_above(corners[small].mean(axis=1))
-        return np.ascontiguousarray(self.faces[found])
+        above a part of one that is covered in part."""
+        return self._ground[0]
 
-    def _large(self, corners: Array) -> NDArray[np.bool_]:
-        """Whether faces (n, 3, 3) m are so large that rock may stand on a part of them, as a pillar on a plane."""
+    @cached_property
+    def _ground(self) -> tuple[Faces, NDArray[np.bool_]]:
+        """The faces of the ground (k, 3), and those that rock may cover in part, as a pillar on a plane does, (k,)."""
+        corners = self.points[self.faces]
+        found, parted = looks_up(corners), np.zeros(len(corners), bool)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        return np.asarray(edges > LARGE * np.ptp(self.points[:, :2], axis=0).max())
+        large = np.flatnonzero(found & (edges > LARGE * np.ptp(self.points[:, :2], axis=0).max()))
+        parted[large] = touched_from_above(corners, large)
+        whole = found & ~parted
+        found[whole] = self.free_above(corners[whole].mean(axis=1))
+        return np.ascontiguousarray(self.faces[found]), parted[found]
 
     def is_ground(self, corners: Array) -> NDArray[np.bool_]:
         """Whether something can stand on pieces (n, 3, 3) m of its faces, (n,)."""
@@ -168,7 +176,7 @@ class TerrainSurface:
             met = np.asarray(hit) >= 0
             corners, left = self.points[self.ground[hit[met]]], left[met]
             places = np.column_stack([points[met, :2], heights_on(corners, points[met])])
-            covered = self._large(corners)
+            covered = self._ground[1][hit[met]]
             covered[covered] = ~self.free_above(places[covered])
             found[left[~covered]] = places[~covered, 2]
             left, points = left[covered], places[covered] + direction * LIFT
@@ -244,6 +252,49 @@ def _spanned(edges: NDArray[np.int64], middle: int) -> Iterator[Faces]:
                 whole = ring[: len(ring) // 2 * 2].reshape(-1, 2)
                 yield np.column_stack([whole, np.append(ring, ring[0])[2 : 2 * len(whole) + 2 : 2]])
                 ring = ring[::2]
+
+
+def touched_from_above(corners: Array, those: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether another of the triangles ``corners`` (n, 3, 3) m crosses the plane of ``those`` (k,), or comes within
+    `ABOVE` m of it from above, and overlaps them seen from above, more than along their edges, (k,).
+
+    So are all that are not compared because there are too many.
+    """
+    import shapely
+
+    touched = np.ones(len(those), bool)
+    if not len(those) or len(corners) > MOST_FACES:
+        return touched
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    tree, pairs = shapely.STRtree(shapely.box(*low[:, :2].T, *high[:, :2].T)), 0
+    for begin in range(0, len(those), BUNCH):
+        part = those[begin : begin + BUNCH]
+        one, other = tree.query(tree.geometries[part])
+        pairs += len(one)
+        if pairs > MOST_PAIRS:
+            break
+        near = (part[one] != other) & (low[part[one], 2] <= high[other, 2])
+        near &= low[other, 2] <= high[part[one], 2] + ABOVE
+        one, other = one[near], other[near]
+        a, b = corners[part[one]], corners[other]
+        above = b[..., 2] - np.stack([heights_on(a, b[:, k]) for k in range(3)], axis=1)
+        near = (above.min(axis=1) <= ABOVE) & (above.max(axis=1) >= 0)
+        near[near] = _overlap(a[near, :, :2], b[near, :, :2])
+        touched[begin : begin + BUNCH] = np.bincount(one[near], minlength=len(part)) > 0
+    return touched
+
+
+def _overlap(a: Array, b: Array) -> NDArray[np.bool_]:
+    """Whether triangles ``a`` and ``b`` (n, 3, 2) overlap, more than along edges of ``a``, (n,)."""
+    a = a + EDGE * (a.mean(axis=1, keepdims=True) - a)
+    together = np.ones(len(a), bool)
+    for triangle in (a, b):
+        for k in range(3):
+            edge = triangle[:, k] - triangle[:, k - 1]
+            normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)[:, None]
+            along, across = (a * normal).sum(axis=2), (b * normal).sum(axis=2)
+            together &= (along.min(axis=1) <= across.max(axis=1)) & (across.min(axis=1) <= along.max(axis=1))
+    return together
 
 
 def looks_up(corners: Array) -> NDArray[np.bool_]:
