@@ -259,7 +259,7 @@ smallest. Memory is the largest of the process so far, so an export that needs l
 """
 NOTES = """## What exceeds 1.2
 
-- `segments_helicopter`, solve, less the smallest: 1.37; the whole cost: 1.06. The last solve, at order 4, takes 5
+- `segments_helicopter`, solve, less the smallest: 1.28; the whole cost: 1.07. The last solve, at order 4, takes 5
   iterations with 128 segments, 20 with 256 and 7 with 512, at 0.10, 0.16 and 0.39 s of CPU time each, and 512 segments
   are reached over 256. The smallest shot asks for 3 segments; the planner uses 16, so it costs more than its share.
 
