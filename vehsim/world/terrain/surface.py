@@ -30,10 +30,12 @@ ASIDE = np.array([1e-4, 0.7e-4, 0.0])
 """Distance beside a point of the two lines along which faces above it are counted, m: a line may run along an edge."""
 
 LARGE = 0.01
-"""Longest edge of a face that is ground as a whole or not at all, as a share of the terrain's width."""
-MOST_FACES, MOST_PAIRS, BUNCH = 300_000, 2_000_000, 32
-"""Up to so many faces, and pairs of them above each other, larger faces are also compared with what stands on them; so
-many at a time."""
+"""Longest edge, as a share of the terrain's width, up to which a face is ground as a whole or not at all. So is a
+larger one that no other face touches."""
+MOST_FACES, MOST_PAIRS = 300_000, 2_000_000
+"""Up to so many faces, and pairs of faces that overlap seen from above, it is found which large ones others touch."""
+BUNCH = 32
+"""How many large faces are compared with all others at a time: pairs take memory."""
 EDGE = 1e-6
 """How far within its edges a triangle is compared with others, as a share of its size."""
 LEVELS = 8
@@ -167,16 +169,17 @@ class TerrainSurface:
     def _ground_along(self, points: Array, direction: float) -> Array:
         """Height (n,) m of the first ground straight up (1) or down (-1) from points (n, 3) m; nan where there is
         none."""
-        if not len(points) or not len(self.ground):
+        ground, parted = self._ground
+        if not len(points) or not len(ground):
             return np.full(len(points), np.nan)
         found, left = np.full(len(points), np.nan), np.arange(len(points))
         for _ in range(LEVELS):
             rays, points = np.tile([0.0, 0.0, direction], (len(points), 1)), np.ascontiguousarray(points)
-            hit, _, _ = self._ground_tree.intersect_ray_first(self.points, self.ground, points, rays)
+            hit, _, _ = self._ground_tree.intersect_ray_first(self.points, ground, points, rays)
             met = np.asarray(hit) >= 0
-            corners, left = self.points[self.ground[hit[met]]], left[met]
+            corners, left = self.points[ground[hit[met]]], left[met]
             places = np.column_stack([points[met, :2], heights_on(corners, points[met])])
-            covered = self._ground[1][hit[met]]
+            covered = parted[hit[met]]
             covered[covered] = ~self.free_above(places[covered])
             found[left[~covered]] = places[~covered, 2]
             left, points = left[covered], places[covered] + direction * LIFT
