@@ -61,6 +61,43 @@ def test_only_what_was_moved_is_rewritten(path):
     assert document.data == tomllib.loads(path.read_text())
 
 
+APART = """\
+[[vehicle]]
+name = "boat"
+
+[vehicle.motion]
+method = "simulate"
+commands = [{ frame = 1001, thrust = 9 }]
+
+[vehicle.motion.start]   # in the bay
+position = [0, 0.10, 0]  # m
+
+[camera]
+rig = "chase"
+"""
+
+
+def test_a_table_that_is_replaced_keeps_what_stays(path):
+    path.write_text(APART)
+    document = Document(path)
+    document.put("vehicle[0].motion", {"method": "sticks", "start": {"position": [0.0, 0.1, 0.0]}, "file": "a.csv"})
+    old = 'method = "simulate"\ncommands = [{ frame = 1001, thrust = 9 }]\n'
+    assert document.text == APART.replace(old, 'method = "sticks"\nfile = "a.csv"\n')
+
+
+def test_added_tables_are_apart_where_the_others_are(path):
+    note = '[[note]]\nframe = 1\ntext = "a"\n'
+    for text, between in ((TEXT, ""), (APART, "\n")):
+        path.write_text(text)
+        document = Document(path)
+        document.insert("note", 0, {"frame": 1, "text": "a"})
+        assert document.text == text + between + note
+        document.save()
+    document.put("vehicle[0].motion.limits.speed", 9)
+    camera = '[camera]\nrig = "chase"\n'
+    assert document.text == APART.replace(camera, f"[vehicle.motion.limits]\nspeed = 9\n\n{camera}\n{note}")
+
+
 @pytest.mark.parametrize(("own", "kept"), [("", ""), ("heading = 10\n", "heading = 90.0\n")])
 def test_a_gate_turns_with_its_mark(path, own, kept):
     """Its direction keeps its slope; a heading is changed only where there is one."""

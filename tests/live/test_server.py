@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import json
+import signal
 import subprocess
 import sys
 import threading
@@ -22,12 +23,14 @@ from benchmarks.hostile_messages import MARK, SHOT, hostile
 from tests.live.block import Block
 from vehsim import Shot
 from vehsim.errors import InputError
+from vehsim.live import edit
 from vehsim.live import server as live_server
 from vehsim.live import session as live_session
 from vehsim.live.messages import Drag, Place
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 from vehsim.planning import drafts
+from vehsim.runtime.signals import raising
 
 PATIENCE = 600.0  # s, on a busy machine
 
@@ -619,6 +622,35 @@ def test_a_session_that_ends_in_a_drag_keeps_it(path):
     asyncio.run(play(moved("place", 9.0, 1.4), {"kind": "add_note", "frame": 1010, "text": "slow"}, {"kind": "save"}))
     assert not autosave.exists()
     assert "position = [9.0, 1.4, 0]" in path.read_text() and 'text = "slow"' in path.read_text()
+
+
+def test_ctrl_c_does_not_break_a_step_of_the_session(path, monkeypatch):
+    """An exception between two steps of the event loop would lose the next one, for which it waited for ever."""
+    steps = []
+
+    class Interrupted:
+        def __init__(self, *where):
+            pass
+
+        async def run(self, ready):
+            signal.raise_signal(signal.SIGINT)
+            steps.append("the rest of the step")
+            with pytest.raises(asyncio.CancelledError):
+                await asyncio.sleep(PATIENCE)
+            steps.append("cleanup")
+            with pytest.raises(ArithmeticError):  # who does not want to wait for it
+                signal.raise_signal(signal.SIGINT)
+            raise asyncio.CancelledError
+
+    monkeypatch.setattr(live_server, "Server", Interrupted)
+    before = signal.signal(signal.SIGINT, raising(ArithmeticError))
+    mine = signal.getsignal(signal.SIGINT)
+    try:
+        edit(path, path.parent, "localhost", 0, "", print)
+        assert signal.getsignal(signal.SIGINT) is mine
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert steps == ["the rest of the step", "cleanup"]
 
 
 def test_the_session_ends_while_its_scene_is_made(path, monkeypatch):

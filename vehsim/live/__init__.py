@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from vehsim.errors import InputError
+from vehsim.runtime.signals import calling
 
 NEEDS = ("websockets", "tomlkit")
 
@@ -23,11 +24,14 @@ def edit(path: Path, out: Path, host: str, port: int, token: str, ready: Callabl
     from vehsim.live.server import Server
 
     async def serve() -> None:
-        await Server(path, out, host, port, token).run(ready)
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
+        assert task is not None
+        with calling(lambda: loop.call_soon_threadsafe(task.cancel)):
+            await Server(path, out, host, port, token).run(ready)
 
     try:
         asyncio.run(serve())
-    except KeyboardInterrupt:  # how a session ends
+    except (KeyboardInterrupt, asyncio.CancelledError):  # how a session ends
         return
     except OSError as error:
         raise InputError(f"cannot listen: {error.strerror}", "give another --port", key="--port", value=port) from None

@@ -6,6 +6,7 @@ when the shot is saved, and continues an interrupted session when the shot is op
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -18,6 +19,9 @@ from vehsim.runtime.files import replacing_file
 
 AUTOSAVE = ".autosave"
 """Suffix of the autosave of ``shot.toml``: ``shot.toml.autosave``."""
+
+GLUED = re.compile(r"^([ \t]*[^#\[\s].*\n)(?=[ \t]*\[{1,2}[^\[\],\n]+\]{1,2}[ \t]*(#.*)?\r?$)", re.MULTILINE)
+"""A line of a table that the header of the next table follows without an empty line."""
 
 
 class Document:
@@ -112,6 +116,9 @@ class Document:
 
     def _push(self, text: str) -> None:
         if text != self.text:
+            apart = GLUED.sub(r"\1\n", text)  # added tables are apart from others, as those in the file are
+            if not GLUED.search(self.text) and tomllib.loads(apart) == tomllib.loads(text):
+                text = apart
             self._texts[self._at + 1 :] = [text]
             self._go(self._at + 1)
 
@@ -161,8 +168,14 @@ def write(data: Any, key: str, value: Any, table: Callable[[], Any] = dict) -> N
 
 
 def _assign(data: Any, key: Any, value: Any) -> None:
-    """Set a value, of lists only the items that differ."""
+    """Set a value, of lists and tables only what differs."""
     there = data.get(key) if isinstance(data, dict) else data[key]
+    if isinstance(value, dict) and isinstance(there, dict):
+        for name in [name for name in there if name not in value]:
+            del there[name]
+        for name, item in value.items():
+            _assign(there, name, item)
+        return
     if isinstance(value, list) and isinstance(there, list) and len(value) == len(there):
         for k, item in enumerate(value):
             _assign(there, k, item)

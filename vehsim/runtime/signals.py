@@ -37,6 +37,33 @@ def raising(error: type[BaseException], once: bool = False) -> Callable[[int, An
     return stop
 
 
+@contextmanager
+def calling(stop: Callable[[], object]) -> Iterator[None]:
+    """In this block, the first signal that would raise an exception calls ``stop`` instead.
+
+    An exception between two steps of an event loop loses the next one, and the loop then waits for it for ever.
+    """
+    before: dict[int, Any] = {}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        before.clear()
+
+    def stopped(number: int, frame: Any) -> None:
+        restore()
+        stop()
+
+    with suppress(ValueError):  # not the main thread: the caller handles signals
+        for number in (*POLITE, signal.SIGINT):
+            if callable(signal.getsignal(number)):
+                before[number] = signal.signal(number, stopped)
+    try:
+        yield
+    finally:
+        restore()
+
+
 def _loads_usd(frame: Any) -> bool:
     while frame is not None:
         if frame.f_code.co_name == "<module>" and str(frame.f_globals.get("__name__")).startswith("pxr"):
