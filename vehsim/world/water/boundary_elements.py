@@ -27,7 +27,7 @@ from vehsim.runtime.cache import kept, lookup, store
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles.definition.coefficients import Coefficients
 from vehsim.world.water.hull_mesh import HullMesh, wetted
-from vehsim.world.water.memory import Radiation, fitted
+from vehsim.world.water.memory import Radiation, fitted, radiating
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ SIMPLE = 400
 """Faces of the hull before it is divided into panels."""
 APART = 0.2
 """Largest plausible difference of two added masses; it is below 0.1 for single hulls."""
-KIND = "hydro-4"
+KIND = "hydro-5"
 """Of cached results: change the number when the method changes."""
 MOST_KEPT = 200_000_000
 """Bytes of all cached results: those of about 500 hulls."""
@@ -182,6 +182,7 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
         added, damping, infinite = ((each + MIRROR[:, None] * each * MIRROR) / 2 for each in (added, damping, infinite))
         other = -np.arange(HEADINGS) % HEADINGS
         pressure, diffraction = ((each + each[:, other] * MIRROR) / 2 for each in (pressure, diffraction))
+    damping = _rounded(radiating(damping))
     radiation = Radiation(omega, damping, added)
     memory = fitted(radiation)
     if memory is None:

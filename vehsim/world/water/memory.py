@@ -134,6 +134,15 @@ def _trapezoid(low: float, high: float, count: int) -> tuple[Array, Array]:
     return places, weights
 
 
+def radiating(damping: Array) -> Array:
+    """The ``damping`` (n, 6, 6) without the motions that gain energy: by the error of panels, a motion that radiates
+    hardly any waves, such as the surge of a slender hull with a little pitch, may have a negative one."""
+    size = np.sqrt(np.maximum(np.einsum("nii->ni", damping).max(axis=0), 1e-300))
+    units = np.multiply.outer(size, size)
+    values, vectors = np.linalg.eigh(damping / units)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(vectors, 1, 2) * units)
+
+
 def fitted(radiation: Radiation) -> Memory | None:
     """A model of the radiation, with stable poles, in which no motion gains energy; None: there is none.
 
