@@ -341,7 +341,7 @@ class Afloat(Environment):
         points, faces = (self.mesh.points, self.mesh.faces) if self.water.flat else self.mesh.quadratic
         world = points @ R_wb.T + position
         others = np.concatenate([self.data.propulsor_points, self.response.points]) @ R_wb.T + position
-        motion, elsewhere, near = self._motion(t, world, others, faces)
+        motion, elsewhere, flow, near = self._motion(t, world, others, faces)
         columns = np.empty((len(points), COLUMNS))
         columns[:, PLACE], columns[:, DEPTH] = points, motion.height - world[:, 2]
         columns[:, THROUGH] = velocity + cross(omega, points) - motion.velocity @ R_wb
@@ -349,7 +349,7 @@ class Afloat(Environment):
         up = R_wb[2]
         torque_force, volume = np.zeros(6), 0.0
         immersion = entering = 0.0
-        lift = self.law.at(float((velocity - self._flow(elsewhere) @ R_wb)[0]))
+        lift = self.law.at(float((velocity - flow @ R_wb)[0]))
         wet, splashed = self.under(columns, faces.compress(near, axis=0), self.mesh.bottom[near], up, lift)
         fastest = float(np.sqrt((columns[:, THROUGH] ** 2).sum(axis=1).max()))
         speeds = (0.0 if len(wet.normals) else fastest, fastest)  # in the air, any part may hit the water next
@@ -364,38 +364,41 @@ class Afloat(Environment):
         self._last = state, forces, controls, wind
         return forces
 
-    def _motion(self, t: float, world: Array, others: Array, faces: Any) -> tuple[Motion, Motion, Any]:
+    def _motion(self, t: float, world: Array, others: Array, faces: Any) -> tuple[Motion, Motion, Array, Any]:
         """The water at the nodes ``world`` (n, 3) m of ``faces`` (m, 3 or 6) and at ``others`` (k, 3) m, propulsors
-        first, and which faces may be wet (m,).
+        first, its mean flow (3,) m/s, and which faces may be wet (m,).
 
         The height field knows which faces are above it. Nodes of these alone are not evaluated: they have its height
-        and the mean flow. Of the response's points, only the flow is needed.
+        and the mean flow; those of a bottom along which water rises have the formula's. Of the response's points, only
+        the flow is needed.
         """
         n, places = len(world), np.concatenate([world, others])
         if self.field is None:
             found = self.water.at(places, t)
-            return (
-                Motion(*(part[:n] for part in found)),
-                Motion(*(part[n:] for part in found)),
-                np.ones(len(faces), bool),
-            )
+            here, elsewhere = (Motion(*(part[rows] for part in found)) for rows in (slice(n), slice(n, None)))
+            return here, elsewhere, self._flow(elsewhere), np.ones(len(faces), bool)
         self.field.cover(places, t)
         height = self.field.ceiling(world)
         low = world[:, 2] <= height
         near = np.logical_or.reduce([low.take(nodes) for nodes in faces.T])  # also crests between two corners
+        rays = np.zeros(len(places), bool)
+        rays[faces.compress(near, axis=0)] = rays[n : n + len(self.data.propulsor_points)] = True
+        asked = rays.copy()
+        asked[n:] = True
         if self.law.rise is not None:  # water rises along the bottom
             near |= self.mesh.bottom
-        asked = np.zeros(len(places), bool)
-        asked[faces.compress(near, axis=0)] = asked[n:] = True
+            asked[faces.compress(near, axis=0)] = True
         index = np.flatnonzero(asked)
-        found = self.field.motion(places.take(index, axis=0), t, len(self.response.points))
+        found = self.field.motion(places.take(index, axis=0), t, rays.take(index))
         count = len(index) - len(others)
         elsewhere, index = Motion(*(part[count:] for part in found)), index[:count]
-        motion = Motion(height, np.empty((n, 3)), np.zeros((n, 3)), np.zeros(n))
-        motion.velocity[:] = self._flow(elsewhere)
-        for whole, part in zip(motion, found, strict=True):
-            whole[index] = part[:count]
-        return motion, elsewhere, near
+        flow = self._flow(elsewhere)
+        motion = Motion(height, np.empty((n, 3)), found.acceleration[:0], np.zeros(n))  # nodes need no acceleration
+        motion.velocity[:] = flow
+        height[index], motion.velocity[index], motion.fade[index] = (
+            part[:count] for part in (found.height, found.velocity, found.fade)
+        )
+        return motion, elsewhere, flow, near
 
     def _flow(self, others: Motion) -> Array:
         """Mean velocity (3,) m/s of the water over the wetted surface at rest."""

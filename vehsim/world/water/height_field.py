@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError, SolveError
 from vehsim.world.water.motion import Motion
-from vehsim.world.water.water import Array, Water
+from vehsim.world.water.water import Array, Water, places
 
 NAME = "water"
 GROUP = 4
@@ -60,6 +60,13 @@ class WaterField:
         )
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
+        model = self.model  # each access makes a new view, which takes as long as writing the surface
+        self._counts, self._size, self._data = (
+            (model.hfield_ncol, model.hfield_nrow),
+            model.hfield_size[0],
+            model.hfield_data,
+        )
+        self._place, self._centre = self.data.mocap_pos[0], self.data.geom_xpos[0]
         self.low = self.high = np.full(2, np.nan)  # empty so far
         self.window: Window | None = None
         self.shift: Array | None = None
@@ -80,12 +87,12 @@ class WaterField:
         if not (self.water.flat and (self.low <= low).all() and (high <= self.high).all()):
             self.update(t, low, high)
 
-    def motion(self, points: Array, t: float, others: int = 0) -> Motion:
-        """The water at ``points`` (n, 3) m, which the field covers at ``t`` s. At the last ``others`` of
-        them, the height is that of the formula."""
+    def motion(self, points: Array, t: float, asked: Any = slice(None)) -> Motion:
+        """The water at ``points`` (n, 3) m, which the field covers at ``t`` s. Except where ``asked`` (n,), the height
+        is that of the formula."""
         # first, because it reports points outside a solver's grid
         found = self.water.at(points, t, self._rest(points[:, :2]))
-        found.height[: len(points) - others] = self.heights(points[: len(points) - others, :2])
+        found.height[asked] = self.heights(points[asked, :2])
         return found
 
     def ceiling(self, points: Array) -> Array:
@@ -128,37 +135,41 @@ class WaterField:
         import mujoco
 
         first, last = self.window = window
-        if (last - first >= self.samples).any():
+        if max(last - first) >= self.samples:
             raise SolveError(
-                f"{(last - first).max() + 1} samples per side, at most {self.samples} are possible",
+                f"{max(last - first) + 1} samples per side, at most {self.samples} are possible",
                 subject="water field",
             )
         self.low, self.high = self.anchor + self.cell * first, self.anchor + self.cell * last
-        x, y = (self.anchor[i] + self.cell[i] * np.arange(first[i], last[i] + 1) for i in range(2))
+        x, y = (
+            a + cell * np.arange(i, j + 1) for a, cell, i, j in zip(self.anchor, self.cell, first, last, strict=True)
+        )
         heights, rest = self.water.grid(x, y, t)
-        self.shift = None if rest is None else rest - np.stack(np.meshgrid(x, y), axis=-1)
+        self.shift = None if rest is None else rest - places(x, y)
         if self.water.grids is None:
             heights = level_with(heights)
         pairs = np.maximum(heights[:-1], heights[1:])
         self.tops = np.maximum(pairs[:, :-1], pairs[:, 1:])
-        bottom, relief = float(heights.min()), max(float(np.ptp(heights)), 1e-3)
-        model = self.model
-        model.hfield_ncol[0], model.hfield_nrow[0] = len(x), len(y)
-        model.hfield_size[0, :3] = [*(self.high - self.low) / 2, relief]
-        model.hfield_data[: heights.size] = ((heights - bottom) / relief).ravel()
-        self.data.mocap_pos[0] = [*(self.low + self.high) / 2, bottom]
-        mujoco.mj_kinematics(model, self.data)
+        bottom = float(heights.min())
+        relief = max(float(heights.max()) - bottom, 1e-3)
+        for counts, count in zip(self._counts, (len(x), len(y)), strict=True):
+            counts[0] = count
+        self._size[:2], self._size[2] = (self.high - self.low) / 2, relief
+        self._data[: heights.size] = ((heights - bottom) / relief).ravel()
+        self._place[:2], self._place[2] = (self.low + self.high) / 2, bottom
+        mujoco.mj_kinematics(self.model, self.data)
 
     def heights(self, xy: Any) -> Array:
         """Height (n,) m of the surface above ``xy`` (n, 2) m, by rays from above."""
         import mujoco
 
         points = np.asarray(xy, float).reshape(-1, 2)
-        middle, bottom = self.data.geom_xpos[0, :2], self.data.geom_xpos[0, 2]
+        start, bottom = self._centre.copy(), float(self._centre[2])
+        start[2] += self.top
         rays = np.empty((len(points), 3))
-        rays[:, :2], rays[:, 2] = points - middle, -self.top
+        np.subtract(points, start[:2], out=rays[:, :2])
+        rays[:, 2] = -self.top
         share, geoms = np.empty(len(points)), np.empty(len(points), np.int32)
-        start = np.array([*middle, bottom + self.top])
         mujoco.mj_multiRay(
             self.model, self.data, start, rays.ravel(), None, 1, -1, geoms, share, None, len(points), np.inf
         )
