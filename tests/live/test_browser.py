@@ -161,6 +161,14 @@ def test_a_mark_that_cannot_be_met_is_dragged_to_where_it_can(tmp_path):
             await page.value("vehsim.live.send({ kind: 'add_mark', vehicle: 'car', frame: 1055 })")
             await page.until("vehsim.live.grips.length === 4")
             assert await page.value("vehsim.viewer.rings.every((ring) => !ring.visible)")
+            frames = "vehsim.viewer.ticks.map((one) => one.frame)"  # the timeline has the file's marks
+            assert await page.value(frames) == [1001, 1037, 1055, 1073]
+            for frame, left in ((1060, 4), (1055, 3)):
+                await page.value(f"vehsim.viewer.seek({frame}); document.getElementById('do-delete').click()")
+                await page.until(f"{frames}.length === {left}")
+            assert await page.value(frames) == [1001, 1037, 1073]
+            await page.value("document.getElementById('do-undo').click()")
+            await page.until("vehsim.live.grips.length === 4")
             await page.value("document.getElementById('do-undo').click()")
             await page.until("vehsim.live.grips.length === 3")
             await page.value("vehsim.viewer.orbit.target.set(5, 8, 0); vehsim.viewer.camera.position.set(5, 7, 40)")

@@ -174,12 +174,16 @@ class Session:
 
     def _handle_shown(self, handle: Handle) -> dict[str, Any]:
         """A handle for the page. ``follows``: the vehicles whose motion follows while it is dragged; that of others is
-        solved on release. ``drawn``: where the scene shows it."""
+        solved on release. ``drawn``: where the scene shows it. ``frame``: that of a mark in the file, None if it is
+        chosen by the planner."""
         from vehsim.shot.world.obstacle_tables import name_of
 
         assert self.shot is not None
         file, k, drawn = self.shot.file, handle.obstacle, self._drawn_handles.get(handle.key, handle)
+        motion: Any = None if handle.vehicle is None else file.vehicle[handle.vehicle].motion
+        frame = None if handle.mark is None else motion.mark[handle.mark].frame
         return {
+            "frame": frame if isinstance(frame, int) else None,
             "drawn": {"place": drawn.place, "heading": drawn.heading},
             **{name: getattr(handle, name) for name in ("key", "place", "heading", "turns", "mark")},
             "vehicle": None if handle.vehicle is None else file.vehicle[handle.vehicle].name,

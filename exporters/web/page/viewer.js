@@ -250,7 +250,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       this.poses = header.groups.map((group) => array(group.poses));
       this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
       this.drafted = "";
-      this.marks = header.marks;
+      this.marks = this.ticks = header.marks;
       this.notes = header.notes;
       for (const overlay of [this.overlays.paths, this.overlays.ghosts]) dispose(overlay);
       this.lines = new Map(header.paths.map((path) => [path.name, this._addPath(array(path.points))]));
@@ -437,6 +437,13 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       ghost.userData.shared = true;
       this.overlays.ghosts.add(ghost);
       return ring;
+    }
+
+    /** The marks on the timeline, where the file has others than the motion; those with frame null are left out. */
+    setTicks(given) {
+      if (JSON.stringify(given) === JSON.stringify(this.ticks)) return;
+      this.ticks = given;
+      this.timeline.build();
     }
 
     /** Other notes, at places of the world. */
@@ -740,7 +747,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
     }
 
     _toMark(sign) {
-      const frames = [...this.marks, ...this.notes].map((mark) => Math.round(mark.frame)).filter((frame) => sign * (frame - this.frame) > 0);
+      const frames = [...this.ticks, ...this.notes].filter((mark) => mark.frame !== null).map((mark) => Math.round(mark.frame)).filter((frame) => sign * (frame - this.frame) > 0);
       if (frames.length) this.seek(sign > 0 ? Math.min(...frames) : Math.max(...frames));
     }
 
@@ -790,15 +797,15 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
 
     /** Ticks at round numbers of frames, and the marks. */
     build() {
-      const { first, last, marks, notes } = this.viewer, length = Math.max(last - first, 1);
+      const { first, last, ticks: marks, notes } = this.viewer, length = Math.max(last - first, 1);
       const room = Math.max(this.track.clientWidth / 70, 1);
       const every = [1, 2, 5, 10, 20, 25, 50, 100, 200, 250, 500, 1000, 2000, 5000, 10000].find((n) => length / n <= room) || 20000;
-      const at = (frame) => `left:${(100 * (frame - first)) / length}%`;
+      const at = (frame) => `left:${(100 * (Math.min(Math.max(frame, first), last) - first)) / length}%`;
       let html = "";
       for (let frame = Math.ceil(first / every) * every; frame <= last; frame += every)
         html += `<div class="tick" style="${at(frame)};height:40%"><span>${frame - first < 0.96 * length ? frame : ""}</span></div>`;
       const own = (k) => marks[k].vehicle === (this.viewer.follow || this.viewer.vehicles[0]);
-      for (const k of [...marks.keys()].sort((a, b) => own(a) - own(b))) // those of the vehicle that is followed on top
+      for (const k of [...marks.keys()].filter((k) => marks[k].frame !== null).sort((a, b) => own(a) - own(b))) // those of the vehicle that is followed on top
         html += `<div class="mark${own(k) ? "" : " other"}" data-mark="${k}" style="${at(marks[k].frame)}"></div>`;
       for (const note of notes) html += `<div class="note" style="${at(note.frame)}"></div>`;
       this.track.innerHTML = `${html}<div class="head"></div>`;

@@ -18,12 +18,13 @@
     live().send({ kind: "add_mark", vehicle: subject(), frame: vehsim.viewer.frame }));
   const remove = button("do-delete", "\u2212 mark", "delete the mark at this frame", () => {
     const handle = here();
-    if (handle) live().send({ kind: "delete_mark", tables: live().state.tables, vehicle: handle.vehicle, mark: handle.mark });
+    if (!handle) live().status("no mark at this frame");
+    else live().send({ kind: "delete_mark", tables: live().state.tables, vehicle: handle.vehicle, mark: handle.mark });
   });
 
   const subject = () => vehsim.viewer.follow || vehsim.viewer.vehicles[0];
   const marks = () => live().state.handles.filter((handle) => handle.mark !== null);
-  const here = () => marks()[vehsim.viewer.marks.findIndex((mark) => mark.vehicle === subject() && Math.round(mark.frame) === vehsim.viewer.frame)];
+  const here = () => marks()[vehsim.viewer.ticks.findIndex(({ vehicle, frame }) => vehicle === subject() && frame !== null && Math.round(frame) === vehsim.viewer.frame)];
 
   const track = element("track");
   const frameAt = (event) => {
@@ -48,7 +49,7 @@
     if (!held) return;
     const { k, frame, tables } = held, handle = marks()[k];
     held = null;
-    if (frame === null) vehsim.viewer.seek(vehsim.viewer.marks[k].frame);
+    if (frame === null) vehsim.viewer.seek(vehsim.viewer.ticks[k].frame);
     else live().send({ kind: "place", tables, key: handle.key, position: handle.place, frame });
     event.stopImmediatePropagation();
   }, true);
