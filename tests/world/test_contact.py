@@ -108,6 +108,18 @@ def test_a_block_stays_on_a_slope_inside_the_friction_cone(block):
     assert event["impulse"] == pytest.approx(100 * 9.81 * 60.0, rel=1e-3)
 
 
+@pytest.mark.parametrize(("slope", "friction"), [(0.75, 0.8), (0.97, 1.0)])
+def test_a_block_stays_just_inside_the_friction_cone(block, slope, friction):
+    """Its weight rests mostly on the lower edge: the upper one slid, and the block crept by 0.25 mm/s."""
+    terrain = Terrain("slope", np.tile(-0.5 * slope * np.arange(-20, 21), (41, 1)), (-10.0, -10.0), (0.5, 0.5))
+    up, tilt = np.array([slope, 0.0, 1.0]) / np.hypot(1, slope), np.arctan(slope) / 2
+    start = State(position=0.2 * up, orientation=(np.cos(tilt), 0, np.sin(tilt), 0))
+    clip = vehsim.simulate(
+        block(), World(terrain=terrain, contact=Contact(friction, 0.3, 20.0)), None, start, duration=1.0, step=1 / 24
+    )
+    assert not np.ptp(clip.positions[clip.times > 0.7], axis=0).any()
+
+
 def test_a_stack_stands(block):
     """Three blocks, each a little beside the one below."""
     world = World(obstacles=[FLOOR], contact=Contact(0.4, 0.3, 1.0))

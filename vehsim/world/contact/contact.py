@@ -360,9 +360,11 @@ class ContactScene:
         stiff = c.frequency * points.depths + 2 * c.damping * closing
         pressure = np.maximum(0.0, share * mass * c.frequency * stiff)
         slide = velocity + closing[:, None] * normals
-        hold = grip.hold(a, b, middle, mean, points, slide, share * mass, SIDEWAYS * c.frequency, c.friction * pressure)
+        load = float(pressure.sum())  # where there is more of it, friction holds more: all points slide at once
+        masses = mass * (pressure / load if load > 0 else share)
+        hold = grip.hold(a, b, middle, mean, points, slide, masses, SIDEWAYS * c.frequency, c.friction * pressure)
         force = pressure[:, None] * normals + hold
-        return force, closing, float(pressure.sum() / (mass * c.frequency))
+        return force, closing, load / (mass * c.frequency)
 
     def _note(self, t: float, forces: Forces) -> None:
         """Open events, and add the impulse since the last time."""
