@@ -5,6 +5,7 @@ import numpy as np
 import trimesh
 
 from vehsim import World
+from vehsim.world.distance import field as field_module
 from vehsim.world.obstacles import obstacles as ob
 from vehsim.world.terrain.terrain import Terrain
 
@@ -44,6 +45,19 @@ def test_with_terrain_the_field_is_the_smaller_distance():
     points = np.random.default_rng(1).uniform((2, 2, 3), (58, 38, 24), (500, 3))
     off = field.value(points) - exact(points, terrain)
     assert np.abs(off).max() < 0.3 and np.sqrt(np.mean(off**2)) < 0.04
+
+
+def test_a_moved_obstacle_does_not_measure_the_terrain_again(monkeypatch):
+    """And the field is the same to the bit as one that was measured from the start."""
+    x, y = np.meshgrid(np.arange(0, 61, 2.0), np.arange(0, 41, 2.0))
+    terrain = Terrain("waves", 2 * np.sin(x / 9) * np.cos(y / 7), (0.0, 0.0), (2.0, 2.0))
+    moved = (ob.box("hut", (14, 9, 0), (6, 5, 9), 40), THINGS[1])
+    fresh = World(terrain, obstacles=moved).distance_field()
+    world = World(terrain, obstacles=THINGS)
+    world.distance_field()
+    monkeypatch.setattr(field_module, "_by_field", None)
+    again = world.with_only(moved).distance_field()
+    assert np.array_equal(again.distances, fresh.distances) and np.array_equal(again.lower, fresh.lower)
 
 
 def test_the_fields_functions_agree_inside_and_outside_the_box():

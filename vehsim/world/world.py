@@ -63,6 +63,8 @@ class World:
         self.wind = _wind(wind)
         self.water, self.gusts, self.contact = _water(water), gusts, contact
         self._fields: dict[Any, DistanceField] = {}
+        self._grids: dict[Any, Any] = {}
+        """The terrain's distances on the grids used last, shared with the same world with other obstacles."""
         self._scenes: dict[Any, Scene | SurfaceScene] = {}
         self._obstacle_scenes: dict[Any, ObstacleScene] = {}
         self._walls: dict[Any, Any] = {}
@@ -95,7 +97,7 @@ class World:
         other = copy.copy(self)
         other.__dict__.pop("content_hash", None)
         other.obstacles = check_obstacles(obstacles)
-        other._fields, other._scenes, other._obstacle_scenes, other._walls = {}, {}, {}, {}
+        other._fields, other._obstacle_scenes = {}, {}  # what is known of the terrain stays
         return other
 
     def on_level(self, places: ArrayLike, around: ArrayLike = ()) -> World:
@@ -108,6 +110,7 @@ class World:
             return self
         other = self.with_only(self.obstacles)
         other.terrain = terrain
+        other._scenes, other._walls = {}, {}
         return other
 
     def walls(self, height: float) -> Walls | None:
@@ -184,7 +187,7 @@ class World:
             return None
         key = (spacing, None if box is None else tuple(np.ravel(np.asarray(box, dtype=float)).tolist()))
         if key not in self._fields:
-            self._fields[key] = distance_field(self.terrain, spacing, box, progress, self.standing)
+            self._fields[key] = distance_field(self.terrain, spacing, box, progress, self.standing, self._grids)
         return self._fields[key]
 
     def clearance(

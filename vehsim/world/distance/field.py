@@ -36,6 +36,8 @@ POINTS = 1_200_000
 """Largest number of grid points if no spacing is given: takes a second or two."""
 AMONG = 400_000
 """The same with obstacles, which are measured anew each time: takes about a second."""
+GRIDS = 4
+"""Grids on which the distances of a terrain are kept while obstacles move."""
 FINEST = 0.5
 """Smallest automatic spacing, m."""
 HEADROOM, DEPTH = 12.0, 4.0
@@ -201,11 +203,13 @@ def distance_field(
     box: ArrayLike | None = None,
     progress: Progress | None = None,
     obstacles: Sequence[Obstacle] = (),
+    known: dict[Any, NDArray[np.float32]] | None = None,
 ) -> DistanceField:
     """The field of ``terrain`` and standing ``obstacles``.
 
     The field of a terrain comes from the cache or is built. Obstacles are measured exactly on a similar grid, with the
-    terrain's distances from its own field; so moving an obstacle costs about a second. ``spacing`` m between grid
+    terrain's distances from its own field; so moving an obstacle costs up to a second. ``known`` keeps the terrain's
+    distances on the grids used last, with which it costs less. ``spacing`` m between grid
     points (default: from `POINTS`); ``box`` (2, 3) m restricts the field to a part of the terrain, and is necessary
     without a terrain; ``progress`` receives the work and its fraction. Raises ``InputError``.
     """
@@ -219,12 +223,17 @@ def distance_field(
         remedy = "give a spacing of about a metre"
         raise InputError("not a spacing for this terrain", remedy, key="spacing", value=spacing, file=name)
     if obstacles:
-        laws: list[Callable[[Array], Array]] = []
+        hulls = [hull for obstacle in obstacles for hull in obstacle.hulls]
+        distances = _measure(_to_hulls(hulls), lower, shape, step, progress, "obstacles")
         if terrain is not None:
-            z = lower[2] + step * np.arange(shape[2])
-            laws.append(_by_field(terrain, distance_field(terrain, progress=progress), z))
-        laws.append(_to_hulls([hull for obstacle in obstacles for hull in obstacle.hulls]))
-        distances = _measure(laws, lower, shape, step, progress, "obstacles")
+            grid, known = (terrain.content_hash, *lower.tolist(), *shape.tolist(), step), {} if known is None else known
+            if grid not in known:
+                while len(known) >= GRIDS:
+                    del known[next(iter(known))]
+                z = lower[2] + step * np.arange(shape[2])
+                law = _by_field(terrain, distance_field(terrain, progress=progress), z)
+                known[grid] = _measure(law, lower, shape, step, progress, "the terrain")
+            distances = np.minimum(distances, known[grid])
         return DistanceField(distances, lower, step, open=terrain is None)
     assert terrain is not None
     content = (VERSION, terrain.content_hash, lower.tolist(), shape.tolist(), step)
@@ -270,20 +279,19 @@ def _box(terrain: Terrain | None, box: ArrayLike | None, obstacles: Sequence[Obs
 
 
 def _measure(
-    laws: Sequence[Callable[[Array], Array]],
+    law: Callable[[Array], Array],
     lower: Array,
     shape: NDArray[np.int64],
     step: float,
     progress: Progress | None,
     to: str,
 ) -> NDArray[np.float32]:
-    """Signed distances (nx, ny, nz) m on the grid: at each point the smallest value of the ``laws``."""
+    """Signed distances (nx, ny, nz) m on the grid, by a law of points (n, 3) m."""
     axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
     distances = np.empty(tuple(shape), dtype=np.float32)
     for slab in _slabs(shape[0], to, progress):
         points = _grid(axes[0][slab], *axes[1:])
-        least = np.min([law(points.reshape(-1, 3)) for law in laws], axis=0)
-        distances[slab] = least.reshape(points.shape[:3])
+        distances[slab] = law(points.reshape(-1, 3)).reshape(points.shape[:3])
     return distances
 
 
