@@ -118,6 +118,19 @@ def test_a_stage_without_the_vehicle_is_refused(
     assert not (tmp_path / "new").exists()
 
 
+def test_files_of_the_shot_that_are_not_found_from_here_say_so(
+    delivery: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The paths of a report are relative to the working folder of the export."""
+    report = json.loads((delivery / "report.json").read_text())
+    report["solved"]["shot"]["world"] = {"terrain": "ground/hill.npy"}
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    arguments = ["retouch", str(tmp_path), "--edit", str(delivery / "drive.usda"), "--out", str(tmp_path / "new")]
+    assert cli.run(arguments) == cli.WRONG_INPUT
+    told = capsys.readouterr().err.replace("\n", " ")
+    assert "world.terrain = 'ground/hill.npy'" in told and "relative to the working folder" in told and "--shot" in told
+
+
 def test_a_folder_without_a_report_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["retouch", str(tmp_path), "--edit", "edited.usda", "--out", str(tmp_path)]) == cli.WRONG_INPUT
     assert "no report.json" in capsys.readouterr().err

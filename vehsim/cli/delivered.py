@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vehsim.delivery.reports import reading_report
-from vehsim.errors import InputError, ShotError
+from vehsim.errors import InputError, ShotError, VehsimError
 
 if TYPE_CHECKING:
     from vehsim.delivery.take import Take
@@ -30,6 +32,28 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     ``source``: its shot file; by default the copy in ``report.json``, whose paths are relative to the working folder.
     Raises ``InputError`` if nothing was edited, or if the shot now has another motion than the delivery.
     """
+    with _looking_from(source):
+        return _edited_shot(delivery, edit, source, progress)
+
+
+@contextmanager
+def _looking_from(source: Path | None) -> Iterator[None]:
+    """Without a shot file, errors about files that are not there say that its paths start at the working folder."""
+    try:
+        yield
+    except VehsimError as error:
+        lost = [
+            source is None and isinstance(one.value, str) and not Path(one.value).exists() for one in error.problems
+        ]
+        if not any(lost) or any(one.key.startswith("--") for one in error.problems):
+            raise
+        remedy = "paths are relative to the working folder: go to the shot file's folder, or give it with --shot"
+        told = [replace(one, remedy=remedy) if gone else one for one, gone in zip(error.problems, lost, strict=True)]
+        raise ShotError(told) from None
+
+
+def _edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progress) -> Shot:
+    """`edited_shot`, with plain errors."""
     from vehsim.intake.toml import read_toml
     from vehsim.shot.shot import Shot
 
