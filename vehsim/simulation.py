@@ -37,6 +37,7 @@ STORED = (
     "vehsim.world.water.running:Lift",
     "vehsim.world.contact.contact:Event",
     "vehsim.world.contact.grip:Grip",
+    "vehsim.world.contact.grounding:Points",
 )
 """The classes of what continues a simulation, in addition to plain data."""
 MAX_STEPS = 10_000_000

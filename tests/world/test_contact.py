@@ -185,6 +185,27 @@ def test_a_body_rests_until_a_moving_obstacle_is_near(block):
     assert clip.twists[-1, 3] == pytest.approx(3.0 * 1.1, rel=0.1)
 
 
+def test_what_rests_is_not_looked_at_while_others_move(block, monkeypatch):
+    """Two stacked blocks rest while a third slides past another one and hits them; they wake as it touches them."""
+    contact, pushed = Contact(0.05, 0.1, 2.0), []
+    push = ContactScene._push
+    monkeypatch.setattr(ContactScene, "_push", lambda self, *given: (pushed.append(self._time), push(self, *given))[1])
+    places = {"low": (0, 0, 0.2), "high": (0, 0, 0.6), "aside": (-1.5, 2, 0.2)}
+    movers = {name: Mover(block(), None, State(position=place)) for name, place in places.items()}
+    movers["slider"] = Mover(block(), None, State(position=(-3.5, 0, 0.2), twist=(0, 0, 0, 3.0, 0, 0)))
+    clips = simulate_together(movers, World(obstacles=[FLOOR], contact=contact), 1.2, step=1 / 24)
+    times = clips["low"].times
+    (hit,) = [event for event in clips["low"].events if event["with"] == "slider"]
+    expected = (3.0 - np.sqrt(9.0 - 2 * 0.05 * 9.81 * 2.5)) / (0.05 * 9.81)
+    assert hit["time"] == pytest.approx(expected, abs=5e-3)
+    for name in places:
+        resting = (times > 0.6) & (times < (hit["time"] if name != "aside" else 2.0))
+        assert resting.sum() > 4 and not clips[name].twists[resting].any()
+    early, late = (np.sum([a < time < a + 0.1 for time in pushed]) for a in (0.1, 0.6))
+    assert late < early / 3  # only the slider's
+    assert clips["low"].twists[-1, 3] > 0.5 and clips["high"].twists[-1, 3] != 0
+
+
 def test_a_boat_on_a_beach_rests_until_it_is_touched(block):
     """Its keel stops on the sand, its stern afloat; a ram wakes it and pushes it along."""
     x = np.arange(-60.0, 61.0, 2.0)
@@ -244,11 +265,13 @@ def test_contacts_balance_what_friction_and_weight_allow(block, friction):
     weight = 100.0 * 9.81
     for angle in np.linspace(0, 2 * np.pi, 7):
         push = friction * weight * np.array([0, 0, 0, np.cos(angle), np.sin(angle), 0])
-        assert scene.holds([0.87 * push])
-        assert friction == 0 or not scene.holds([0.96 * push])
-    assert friction > 0 or not scene.holds([np.array([0, 0, 0, 1.0, 0, 0])])
+        assert all(scene.holds([0.87 * push]))
+        assert friction == 0 or not all(scene.holds([0.96 * push]))
+    assert friction > 0 or not all(scene.holds([np.array([0, 0, 0, 1.0, 0, 0])]))
     for change in ([0, 0, 0, 0, 0, 1.0], [0, SIZE[0] / 2, 0, 0, 0, 0], [-SIZE[1] / 2, 0, 0, 0, 0, 0]):
-        assert scene.holds([0.99 * weight * np.array(change)]) and not scene.holds([1.01 * weight * np.array(change)])
+        assert all(scene.holds([0.99 * weight * np.array(change)])) and not all(
+            scene.holds([1.01 * weight * np.array(change)])
+        )
 
 
 def test_one_of_two_stacked_blocks_cannot_be_pushed_away(block):
@@ -259,9 +282,14 @@ def test_one_of_two_stacked_blocks_cannot_be_pushed_away(block):
     places = (0, 0, 0.2 - 2 * sunk), (0, 0, 0.6 - 4 * sunk)
     scene.wrenches(0.0, [State(position=place, twist=np.zeros(6)) for place in places])
     weight, push = 100.0 * 9.81, np.array([0, 0, 0, 1.0, 0, 0])
-    high, low = scene.holds([np.zeros(6), 0.3 * weight * push]), scene.holds([0.6 * weight * push, np.zeros(6)])
+    high, low = (
+        all(scene.holds([np.zeros(6), 0.3 * weight * push])),
+        all(scene.holds([0.6 * weight * push, np.zeros(6)])),
+    )
     assert high and low
-    assert not scene.holds([np.zeros(6), 0.5 * weight * push]) and not scene.holds([weight * push, np.zeros(6)])
+    assert not all(scene.holds([np.zeros(6), 0.5 * weight * push])) and not all(
+        scene.holds([weight * push, np.zeros(6)])
+    )
 
 
 @pytest.mark.parametrize(("height", "still"), [(0.08, True), (0.8, False)])

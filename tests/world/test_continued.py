@@ -141,6 +141,25 @@ def test_boats_that_meet_in_waves_at_a_wall() -> None:
         assert pieces[name].to_bytes() == clip.to_bytes()
 
 
+def test_blocks_of_which_one_rests_while_the_other_slides_to_it(block: Any) -> None:
+    """Continued while one rests, and after it was woken."""
+    world = World(contact=Contact(0.05, 0.1, 2.0), obstacles=[box("floor", (0, 0, -1), (40, 40, 1))])
+    starts = {"still": (0.0, 0.0), "slider": (-2.8, 3.0)}
+
+    def run(duration: float, after: Any) -> dict[str, Clip]:
+        movers = {
+            name: Mover(block(), None, State(position=(x, 0, 0.2), twist=(0, 0, 0, speed, 0, 0)))
+            for name, (x, speed) in starts.items()
+        }
+        return simulate_together(movers, world, duration, step=1 / 24, after=after)
+
+    through = run(1.0, None)["still"]
+    assert not through.twists[(through.times > 0.4) & (through.times < 0.55)].any() and through.twists[-1, 3] > 1
+    for first in (0.5, 0.75):
+        pieces = run(1.0, {name: kept(clip) for name, clip in run(first, None).items()})
+        assert pieces["still"].to_bytes() == through.to_bytes()
+
+
 def test_other_controls_act_from_there_on() -> None:
     boat, world = vehsim.load_vehicle("boat"), World(water=0.0)
     first = simulate(boat, world, [3000.0, 0.0], duration=1.0, step=1 / 48)

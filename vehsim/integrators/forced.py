@@ -23,7 +23,7 @@ from vehsim.integrators.guards import warn_of_stiff_damping
 from vehsim.integrators.integrator import Integrator
 from vehsim.integrators.phase import Phase, packed, unpacked
 from vehsim.integrators.record import build_clip
-from vehsim.integrators.rest import Rest
+from vehsim.integrators.rest import Holding, Rest
 from vehsim.vehicles import State
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.mechanics import acceleration
@@ -38,17 +38,30 @@ FINEST = 4096
 """Largest number of substeps that an environment may request."""
 
 
-class Meeting(Protocol):
+class Meeting(Holding, Protocol):
     """The forces of several vehicles on each other."""
 
     next_step: float
-    settled: bool
-
-    def holds(self, changes: Sequence[Array]) -> bool:
-        """Whether further wrenches (d,) leave all of them at rest, if they were settled."""
 
     def wrenches(self, t: float, states: Sequence[State]) -> Sequence[Array]:
         """Wrench (d,) on each, in body axes about its body frame's origin, at public states at ``t`` s."""
+
+
+class Alone:
+    """What holds a single vehicle: its environment."""
+
+    islands: Sequence[int] = (0,)
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+        self.asleep: Sequence[bool] = (False,)
+
+    @property
+    def settled(self) -> tuple[bool]:
+        return (self._environment.settled,)
+
+    def holds(self, changes: Sequence[Array]) -> tuple[bool]:
+        return (self._environment.holds(*changes),)
 
 
 class Forced:
@@ -292,9 +305,7 @@ def pushed(
     controls (c,). ``memory``: that of a shorter clip from the same start, which is continued."""
     recording = Recording(integrator, environment, law, begin, cuts)
     body = recording.body
-    rest = Rest(
-        [body], lambda: environment.settled, lambda changes: environment.holds(*changes), lambda: [body.query()]
-    )
+    rest = Rest([body], Alone(environment), lambda _: [body.query()])
     if memory is not None:
         recording.recall(memory["recording"])
         carry_on(rest, memory["rest"])
@@ -302,7 +313,10 @@ def pushed(
         recording.aim(k)
         for j in range(cuts):
             ends = recording.between(j / cuts), recording.between((j + 1) / cuts)
-            if not rest.keeps([ends], integrator.step_size):
+            if rest.begin([ends], integrator.step_size).all():
+                body.wait(integrator.step_size)
+                rest.end()
+            else:
                 body.carry(*ends)
         recording.arrive()
         if progress and k % 50 == 0:
@@ -326,14 +340,20 @@ def pushed_together(
     bodies = [recording.body for recording in recordings]
     whole = [body.integrator for body in bodies]
 
-    def query() -> list[tuple[Array, Array | None]]:
-        wrenches = meeting.wrenches(bodies[0].time, [body.state for body in bodies])
-        own = [body.query() for body in bodies]
-        return [(w + wrench, added) for (w, added), wrench in zip(own, wrenches, strict=True)]
+    every = range(len(bodies))
+    latest: list[Array] = []
 
-    for body, forces in zip(bodies, query(), strict=True):
+    def meet() -> None:
+        latest[:] = meeting.wrenches(bodies[0].time, [body.state for body in bodies])
+
+    def query(which: Sequence[int]) -> list[tuple[Array, Array | None]]:
+        own = [bodies[k].query() for k in which]
+        return [(wrench + latest[k], added) for k, (wrench, added) in zip(which, own, strict=True)]
+
+    meet()
+    for body, forces in zip(bodies, query(every), strict=True):
         body.start_with(*forces)
-    rest = Rest(bodies, lambda: meeting.settled, meeting.holds, query)
+    rest = Rest(bodies, meeting, query, meet)
     if memory is not None:
         for recording, own in zip(recordings, memory["recordings"], strict=True):
             recording.recall(own)
@@ -344,17 +364,29 @@ def pushed_together(
             recording.aim(k)
         at, end = 0, cuts * FINEST
         ends = [(recording.between(0.0), recording.between(1.0)) for recording in recordings]
-        if rest.keeps(ends, cuts * whole[0].step_size):
+        if rest.begin(ends, cuts * whole[0].step_size).all():
+            for body in bodies:
+                body.wait(cuts * whole[0].step_size)
+            meet()
             at = end
         while at < end:
-            longest = min(meeting.next_step, *(body.environment.next_step for body in bodies))
+            awake = [k for k in every if not rest.asleep[k]]
+            longest = min(meeting.next_step, *(bodies[k].environment.next_step for k in awake))
             pieces = piece(whole[0].step_size, longest, at % FINEST)
             at += pieces
-            for recording, integrator in zip(recordings, whole, strict=True):
-                recording.body.integrator = halved(integrator, FINEST // pieces)
-                recording.body.drift(recording.between(at / end))
-            for body, forces in zip(bodies, query(), strict=True):
-                body.push(*forces)
+            for k in every:
+                bodies[k].integrator = halved(whole[k], FINEST // pieces)
+                if k in awake:
+                    bodies[k].drift(recordings[k].between(at / end))
+                else:
+                    bodies[k].wait(bodies[k].integrator.step_size)
+            meet()
+            woken = rest.wake_touched()
+            for k, forces in zip(awake, query(awake), strict=True):
+                bodies[k].push(*forces)
+            for k, forces in zip(woken, query(woken), strict=True):
+                bodies[k].start_with(*forces)
+        rest.end()
         for recording, integrator in zip(recordings, whole, strict=True):
             recording.body.integrator = integrator
             recording.arrive()

@@ -6,8 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.vehicles.definition.base import Array
+
+Mask = NDArray[np.bool_]
 
 CALM = 0.25
 """Time for which contact holds bodies still before they rest, s."""
@@ -28,56 +31,100 @@ class RestingBody(Protocol):
     def start_with(self, wrench: Array, added: Array | None = None) -> None: ...
 
 
-class Rest:
-    """The rest of ``bodies``, which act on each other.
+class Holding(Protocol):
+    """What holds the bodies: ``settled`` says of each whether it is held still, ``islands`` which ones lean on each
+    other: those with equal numbers. ``asleep``: those that rest, which it need not look at again."""
 
-    ``settled()``: whether contact holds all of them; ``holds(changes)``: whether it still does if the wrench on each
-    changes; ``query()``: the wrench and added mass on each, at their states.
+    asleep: Sequence[bool]
+
+    @property
+    def settled(self) -> Sequence[bool]: ...
+
+    @property
+    def islands(self) -> Sequence[int]: ...
+
+    def holds(self, changes: Sequence[Array]) -> Sequence[bool]:
+        """Whether further wrenches (d,) leave each of them at rest, if it was settled."""
+
+
+class Rest:
+    """The rest of ``bodies``. Those that lean on each other rest together, while others move.
+
+    ``query(which)``: the wrench and added mass on some of the bodies, where they are; ``meet()``: to be called before
+    that if one of them has changed its motion.
     """
 
-    CARRIED = ("_calm", "_held", "_balance")
+    CARRIED = ("asleep", "_calm", "_balance")
 
     def __init__(
         self,
         bodies: Sequence[RestingBody],
-        settled: Callable[[], bool],
-        holds: Callable[[Sequence[Array]], bool],
-        query: Callable[[], list[tuple[Array, Array | None]]],
+        holding: Holding,
+        query: Callable[[Sequence[int]], list[tuple[Array, Array | None]]],
+        meet: Callable[[], None] = lambda: None,
     ) -> None:
-        self._bodies, self._settled, self._holds, self._query = bodies, settled, holds, query
-        self._calm, self._held = 0.0, False
-        self._balance: list[tuple[Array, Array | None]] = []
+        self._bodies, self._holding, self._query, self._meet = bodies, holding, query, meet
+        self.asleep = np.zeros(len(bodies), bool)
+        self._calm = np.zeros(len(bodies))
+        self._balance: dict[int, Array] = {}
 
-    def keeps(self, controls: Sequence[tuple[Array, Array]], seconds: float) -> bool:
-        """Whether the bodies rest for ``seconds``, whose ``controls`` start and end as given; their time then passes.
-
-        New controls, a touch, or a wrench that contact does not balance wake them.
-        """
-        same = all(
-            np.array_equal(start, end) and np.array_equal(start, body.controls)
+    def begin(self, controls: Sequence[tuple[Array, Array]], seconds: float) -> Mask:
+        """Which bodies (n,) rest for the next ``seconds``, whose ``controls`` start and end as given. New controls wake
+        them."""
+        same = [
+            np.array_equal(start, end) and np.array_equal(start, body.controls) and not body.integrator.vehicle.joints
             for body, (start, end) in zip(self._bodies, controls, strict=True)
-        )
-        if not (same and self._settled()) or any(body.integrator.vehicle.joints for body in self._bodies):
-            self._calm, self._held = 0.0, False
-            return False
-        if not self._held:
-            self._calm += seconds
-            if self._calm < CALM:
-                return False
-            self._held = True
-            for body in self._bodies:
-                body.stop()
-            self._balance = self._query()
-        for body in self._bodies:
-            body.wait(seconds)
-        now = self._query()
-        changes = [new - old for (new, _), (old, _) in zip(now, self._balance, strict=True)]
-        slight = all(
-            np.linalg.norm(change) <= CHANGE * np.linalg.norm(old)
-            for change, (old, _) in zip(changes, self._balance, strict=True)
-        )
-        if not (self._settled() and (slight or self._holds(changes))):
-            self._calm, self._held = 0.0, False
-            for body, (wrench, added) in zip(self._bodies, now, strict=True):
-                body.start_with(wrench, added)
-        return True
+        ]
+        ready = self._together(np.logical_and(same, self._holding.settled))
+        self._calm = np.where(ready, self._calm + seconds, 0.0)
+        self._rest(ready & self._together(self.asleep | (self._calm >= CALM)))
+        return self.asleep
+
+    def wake_touched(self) -> list[int]:
+        """Wake those on which a body that moves has come to lean, and return them."""
+        if self.asleep.any() and not self.asleep.all():
+            woken = np.flatnonzero(self.asleep & ~self._together(self.asleep))
+            self._wake(woken)
+            return [int(k) for k in woken]
+        return []
+
+    def end(self) -> None:
+        """After their time has passed: wake those whose wrench is no longer balanced by contact."""
+        which = [int(k) for k in np.flatnonzero(self.asleep)]
+        if not which:
+            return
+        now, changes = self._query(which), [np.zeros_like(self._balance[which[0]]) for _ in self._bodies]
+        fine = self.asleep & self._holding.settled
+        slight = fine.copy()
+        for k, (wrench, _) in zip(which, now, strict=True):
+            changes[k] = wrench - self._balance[k]
+            slight[k] &= np.linalg.norm(changes[k]) <= CHANGE * np.linalg.norm(self._balance[k])
+        if (fine & ~slight).any():
+            fine &= self._together(slight) | np.asarray(self._holding.holds(changes), bool)
+        woken = self.asleep & ~self._together(fine)
+        self._wake(np.flatnonzero(woken))
+        for k, forces in zip(which, now, strict=True):
+            if woken[k]:
+                self._bodies[k].start_with(*forces)
+
+    def _rest(self, asleep: Mask) -> None:
+        """Let these rest."""
+        new = [int(k) for k in np.flatnonzero(asleep & ~self.asleep)]
+        if new:
+            for k in new:
+                self._bodies[k].stop()
+            self._meet()
+            self._balance |= {k: wrench for k, (wrench, _) in zip(new, self._query(new), strict=True)}
+        self.asleep = asleep
+        self._holding.asleep = asleep.tolist()
+
+    def _wake(self, which: NDArray[np.intp]) -> None:
+        self._calm[which] = 0.0
+        self.asleep = self.asleep.copy()
+        self.asleep[which] = False
+        self._holding.asleep = self.asleep.tolist()
+
+    def _together(self, each: Mask) -> Mask:
+        """Of each body (n,), whether ``each`` holds for all that lean on each other."""
+        islands = np.asarray(self._holding.islands)
+        return np.asarray(~np.isin(islands, islands[~each]))

@@ -29,9 +29,11 @@ from vehsim.world.contact.bodies import Body, Led, MovingBody, MovingObstacle
 from vehsim.world.contact.grip import Grip
 from vehsim.world.contact.grounding import TOUCH, Points, Underside
 from vehsim.world.contact.rock import Rock
-from vehsim.world.contact.statics import Held, balanced
+from vehsim.world.contact.statics import balanced
 
 Array = NDArray[np.float64]
+Pair = tuple[int, int | None, str]
+"""A vehicle and another body, None: what stands still, with its name."""
 Forces = dict[tuple[int, str], tuple[Array, Array, Array]]
 """Index of a vehicle and name of what it touches -> places (n, 3), forces (n, 3) N and closing speeds (n,) m/s."""
 
@@ -155,7 +157,10 @@ class ContactScene:
     ``start_time``: the time at which ``t`` is 0, in s since frame 0, for moving obstacles.
     """
 
-    CARRIED = ("_events", "_grips", "_time", "_begun", "_soon", "_nearing", "_last", "_held", "next_step", "settled")
+    CARRIED = (
+        *("_events", "_grips", "_time", "_begun", "_soon", "_nearing", "_last", "_pushes"),
+        *("next_step", "settled", "islands", "asleep"),
+    )
 
     def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact, start_time: float = 0.0) -> None:
         import mujoco
@@ -182,16 +187,19 @@ class ContactScene:
         names = [body.name for body in self.bodies] + [f"obstacle/{obstacle.name}" for obstacle in moving]
         self._owner = {self.model.body(name).id: k for k, name in enumerate(names)}
         self._events: list[list[Event]] = [[] for _ in self.bodies]
-        self._grips: dict[tuple[int, int | None, str], Grip] = {}
+        self._grips: dict[Pair, Grip] = {}
         self._time = 0.0
         self._begun = False
         self.next_step = self._soon = math.inf
-        self.settled = False
+        count = len(self.bodies)
+        self.settled: Sequence[bool] = [False] * count
+        self.islands: Sequence[int] = list(range(count))
+        self.asleep: Sequence[bool] = [False] * count
         self._nearing = 0.0
         self._last: tuple[list[State], list[Array], Forces] | None = None
         """The states, wrenches and forces of the last evaluation."""
-        self._held: list[Held] = []
-        """Its touching pairs."""
+        self._pushes: dict[Pair, tuple[Points, Array, Array]] = {}
+        """Its touching pairs: their points, forces (n, 3) N on the first and closing speeds (n,) m/s."""
 
     def _add_vehicle(self, spec: Any, name: str, vehicle: Any, add: Any) -> str:
         if vehicle.rig is None or vehicle.group.dim != 6 or not hasattr(vehicle, "inertia"):
@@ -250,41 +258,68 @@ class ContactScene:
             self._refuse_buried(pairs)
         total = [np.zeros(6) for _ in moving]
         forces: Forces = {}
-        brisk = self._nearing
-        grips, self._grips, self._held = self._grips, {}, []
+        brisk, grips, before = self._nearing, self._grips, self._pushes
+        self._grips = {pair: grip for pair, grip in grips.items() if self._rests(pair)}
+        self._pushes = {pair: push for pair, push in before.items() if self._rests(pair)}
         for (a, b, name), points in pairs.items():
             one, other = moving[a], None if b is None else moving[b]
             grip = self._grips[a, b, name] = grips.get((a, b, name)) or Grip(one, other)
             push, closing, kick = self._push(one, other, points, grip)
             brisk = max(brisk, kick, float(closing.max()))
+            self._pushes[a, b, name] = points, push, closing
+        for (a, b, name), (points, push, closing) in self._pushes.items():
             total[a] += moving[a].wrench(points.places, push)
             forces[(a, name)] = points.places, push, closing
-            yielding = b if b is not None and b < len(self.bodies) else None
-            self._held.append((a, yielding, points.places, points.normals, push))
-            if yielding is not None:
-                total[yielding] += moving[yielding].wrench(points.places, -push)
-                forces[(yielding, _plain(self.bodies[a].name))] = points.places, -push, closing
+            if self._yielding(b) is not None:
+                assert b is not None
+                total[b] += moving[b].wrench(points.places, -push)
+                forces[(b, _plain(self.bodies[a].name))] = points.places, -push, closing
         impact = RESOLVED / (1 + self.contact.damping) / self.contact.frequency
         self.next_step = max(impact if brisk > GENTLE else self.contact.step, AHEAD * self._soon)
-        touching = {owner for a, b, _ in pairs for owner in (a, b)}
-        vehicles, obstacles = moving[: len(self.bodies)], moving[len(self.bodies) :]
-        near = [led for led in obstacles if any(_can_reach(led, vehicle) for vehicle in vehicles)]
-        self.settled = (
-            touching.issuperset(range(len(self.bodies)))
-            and not any(grip.slides for grip in self._grips.values())
-            and all(m.speed < STILL for m in [*vehicles, *near])
-        )
+        self._see_rest(moving)
         self._note(t, forces)
         self._last = list(states), total[: len(self.bodies)], forces
         return self._last[1]
 
-    def holds(self, changes: Sequence[Array]) -> bool:
-        """Whether further wrenches (6,) on the vehicles leave them at rest, if they were settled."""
+    def holds(self, changes: Sequence[Array]) -> Sequence[bool]:
+        """Whether further wrenches (6,) on the vehicles leave each at rest, if it was settled."""
         assert self._last is not None
         bodies = [MovingBody(body, state) for body, state in zip(self.bodies, self._last[0], strict=True)]
-        return balanced(bodies, self._held, changes, self.contact.friction)
+        pairs = [
+            (a, self._yielding(b), at.places, at.normals, push) for (a, b, _), (at, push, _) in self._pushes.items()
+        ]
+        return balanced(bodies, self.islands, pairs, changes, self.contact.friction)
 
-    def _refuse_buried(self, pairs: dict[tuple[int, int | None, str], Points]) -> None:
+    def _yielding(self, b: int | None) -> int | None:
+        """The vehicle ``b``, None if it is a moving obstacle or what stands still."""
+        return b if b is not None and b < len(self.bodies) else None
+
+    def _rests(self, pair: Pair) -> bool:
+        """Whether both of a pair are as they were, so that their forces are, too."""
+        a, b, _ = pair
+        return bool(self.asleep[a]) and (b is None or (b < len(self.bodies) and bool(self.asleep[b])))
+
+    def _see_rest(self, moving: Sequence[MovingBody | Led]) -> None:
+        """Which vehicles lean on each other, and which of these groups contact holds still."""
+        count = len(self.bodies)
+        vehicles, obstacles = moving[:count], [led for led in moving[count:] if led.speed >= STILL]
+        islands, still = list(range(count)), [m.speed < STILL for m in vehicles]
+        touching = [False] * count
+        for pair in self._pushes:
+            a, b = pair[0], self._yielding(pair[1])
+            both = (a,) if b is None else (a, b)
+            for k in both:
+                touching[k] = True
+                still[k] &= not self._grips[pair].slides
+            if b is not None and islands[a] != islands[b]:
+                low, high = sorted((islands[a], islands[b]))
+                islands = [low if island == high else island for island in islands]
+        for k, vehicle in enumerate(vehicles):
+            still[k] &= touching[k] and not any(_can_reach(led, vehicle) for led in obstacles)
+        moved = {island for island, calm in zip(islands, still, strict=True) if not calm}
+        self.islands, self.settled = islands, [island not in moved for island in islands]
+
+    def _refuse_buried(self, pairs: dict[Pair, Points]) -> None:
         for (a, _, name), points in pairs.items():
             depth = float(points.depths.max())
             if depth > BURIED:
@@ -293,7 +328,7 @@ class ContactScene:
                 remedy = "start elsewhere, or remove world.contact"
                 raise InputError(message, remedy, key="start", subject=_plain(self.bodies[a].name))
 
-    def _touching(self, moving: list[MovingBody | Led]) -> dict[tuple[int, int | None, str], Points]:
+    def _touching(self, moving: list[MovingBody | Led]) -> dict[Pair, Points]:
         """(vehicle, other vehicle or None, its name) -> the overlaps.
 
         Records the earliest time of the next touch, and the closing speed (m/s) of pairs that are one resting step
@@ -306,7 +341,7 @@ class ContactScene:
             self.data.qpos[m.body.joint + 3 : m.body.joint + 7] = m.orientation
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
-        found: dict[tuple[int, int | None, str], list[tuple[float, Array, Array]]] = {}
+        found: dict[Pair, list[tuple[float, Array, Array]]] = {}
         # pairs that are not reported are farther apart than the margin, and both may move
         soon = MONITORED / max(2 * max(m.fastest for m in moving), 1e-6)
         nearing = 0.0
@@ -320,6 +355,8 @@ class ContactScene:
             else:
                 normal = -normal  # MuJoCo's normals point from the first to the second
             assert a is not None
+            if self._rests((a, b, "")):
+                continue
             fast = 2 * (moving[a].fastest + (0.0 if b is None else moving[b].fastest)) + ROOM
             if distance > fast * max(soon, self.contact.step):  # the other bodies come first
                 continue
@@ -335,6 +372,8 @@ class ContactScene:
         }
         if self.terrain is not None:
             for a, (side, m) in enumerate(zip(self._undersides, moving, strict=False)):
+                if self.asleep[a]:
+                    continue
                 gap, points = side.on(matrices(m.orientation), m.position)
                 soon = min(soon, gap / max(m.fastest, 1e-6))
                 if points is not None:
@@ -401,13 +440,13 @@ class Touching(Environment):
 
     @property
     def settled(self) -> bool:  # type: ignore[override]
-        return self._scene.settled
+        return bool(self._scene.settled[0])
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return self._scene.wrenches(t, [state])[0]
 
     def holds(self, change: Array) -> bool:
-        return self._scene.holds([change])
+        return bool(self._scene.holds([change])[0])
 
     def events(self) -> list[dict[str, Any]]:
         return self._scene.events()

@@ -22,26 +22,31 @@ SIDES = 8
 """Edges of the pyramids that replace the cones, inside them."""
 
 
-def balanced(bodies: Sequence[MovingBody], pairs: Sequence[Held], changes: Sequence[Array], friction: float) -> bool:
-    """Whether ``bodies`` that ``pairs`` hold at rest stay so under further wrenches ``changes`` (6,) on each: whether
-    other forces at the same places balance them. Bodies that do not touch each other are taken one by one."""
+def balanced(
+    bodies: Sequence[MovingBody],
+    islands: Sequence[int],
+    pairs: Sequence[Held],
+    changes: Sequence[Array],
+    friction: float,
+) -> list[bool]:
+    """Whether each of ``bodies`` that ``pairs`` hold at rest stays so under further wrenches ``changes`` (6,) on each:
+    whether other forces at the same places balance them. ``islands``: equal numbers for bodies that touch each
+    other."""
     from scipy.optimize import nnls
-    from scipy.sparse.csgraph import connected_components
 
-    needed, linked = -np.array(changes, float), np.eye(len(bodies))
+    needed, island_of, found = -np.array(changes, float), np.asarray(islands), np.ones(len(bodies), bool)
+    disturbed = set(island_of[needed.any(axis=1)])
     columns = []
     for a, b, places, normals, forces in pairs:
         cones = pyramids(normals, STICKING * friction)
         column = np.zeros((len(bodies), 6, SIDES * len(places)))
         for k, sign in ((a, 1.0), (b, -1.0)):
             if k is not None:
-                linked[a, k] = 1.0
                 needed[k] += sign * bodies[k].wrenches(places, forces).sum(axis=0)
                 column[k] = sign * bodies[k].wrenches(np.repeat(places, SIDES, axis=0), cones).T
         columns.append((a, column))
     size = np.array([[*3 * [1 / body.body.reach], 1.0, 1.0, 1.0] for body in bodies])
-    count, island_of = connected_components(linked, directed=False)
-    for island in range(count):
+    for island in disturbed:
         members = np.flatnonzero(island_of == island)
         wanted = (needed * size)[members].ravel()
         known = [(size[:, :, None] * column)[members] for a, column in columns if island_of[a] == island]
@@ -49,10 +54,9 @@ def balanced(bodies: Sequence[MovingBody], pairs: Sequence[Held], changes: Seque
         try:
             _, left = nnls(np.concatenate(rows, axis=1), wanted)
         except RuntimeError:  # too many iterations
-            return False
-        if left > UNBALANCED * np.linalg.norm(wanted):
-            return False
-    return True
+            left = np.inf
+        found[members] = left <= UNBALANCED * np.linalg.norm(wanted)
+    return [bool(each) for each in found]
 
 
 def pyramids(normals: Array, friction: float) -> Array:
