@@ -6,7 +6,7 @@ prim's world pose is read; the written layer gives it another world pose.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -251,22 +251,24 @@ def _stage_frame(stage: Any) -> tuple[float, Array]:
     """Metres per unit, and R from the stage's axes to Z up."""
     from pxr import UsdGeom
 
-    up = np.eye(3) if UsdGeom.GetStageUpAxis(stage) == "Z" else np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-    return UsdGeom.GetStageMetersPerUnit(stage), up
+    return _frame(UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage))
 
 
 def _frame_of_layers(stage: Any) -> tuple[float, Array]:
     """The same, from the strongest layer that states them."""
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
-    def said(key: str) -> Any:
-        return next((layer for layer in stage.GetLayerStack(False) if layer.pseudoRoot.HasInfo(key)), None)
+    def said(key: str, otherwise: Callable[[Any], Any]) -> Any:
+        tops = (layer.pseudoRoot for layer in stage.GetLayerStack(False))
+        found = next((top for top in tops if top.HasInfo(key)), None)
+        return otherwise(stage) if found is None else found.GetInfo(key)
 
-    frames = []
-    for key in (UsdGeom.Tokens.metersPerUnit, UsdGeom.Tokens.upAxis):
-        layer = said(key)
-        frames.append(_stage_frame(stage if layer is None else Usd.Stage.Open(layer, Usd.Stage.LoadNone)))
-    return frames[0][0], frames[1][1]
+    metres = said(UsdGeom.Tokens.metersPerUnit, UsdGeom.GetStageMetersPerUnit)
+    return _frame(metres, said(UsdGeom.Tokens.upAxis, UsdGeom.GetStageUpAxis))
+
+
+def _frame(metres: float, axis: str) -> tuple[float, Array]:
+    return metres, np.eye(3) if axis == "Z" else np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
 
 def _nose(forward: str, up: Array) -> Array:
