@@ -1,6 +1,8 @@
 """The live page in a real browser: a mark is dragged with the mouse, and the keys do what the help says."""
 
 import asyncio
+import subprocess
+import sys
 import tomllib
 from contextlib import asynccontextmanager
 
@@ -8,8 +10,8 @@ import pytest
 
 pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
 
-from tests.browser import at, browser
-from tests.live.test_server import SHOT, served
+from tests.browser import PATIENCE, at, browser
+from tests.live.test_server import SHOT, content, served
 
 PLACE = """(() => {
   const v = vehsim.viewer, box = document.getElementById("view").getBoundingClientRect();
@@ -105,6 +107,45 @@ def test_a_browser_that_is_killed_in_a_drag_loses_nothing(tmp_path):
                 await page.until(f"{SOLVED} && vehsim.viewer.rings[1].position.x === 8")
 
     asyncio.run(play())
+
+
+ON_TRACK = """((frame) => {
+  const box = document.getElementById("track").getBoundingClientRect(), { first, last } = vehsim.viewer;
+  return [box.left + box.width * (frame - first) / (last - first), box.top + box.height / 2];
+})(%d)"""
+
+
+def test_scrubbing_a_mark_retimed_too_early_its_fix_and_the_bytes_of_an_export(tmp_path):
+    """What is exported after that is what the command exports from the saved file."""
+    path = written(tmp_path, SHOT)
+
+    async def play():
+        async with opened(path) as page:
+            await page.value("vehsim.viewer.seek(1001)")
+            for kind, frame in (("Pressed", 1010), ("Moved", 1030), ("Moved", 1045), ("Released", 1045)):
+                await page.mouse(kind, *await page.value(ON_TRACK % frame))
+            assert await page.value("vehsim.viewer.frame") == 1045
+
+            (x, y), early = await page.value(ON_TRACK % 1073), await page.value(ON_TRACK % 1011)
+            for kind, at in (("Pressed", (x - 1, y)), ("Moved", early), ("Released", early)):
+                await page.mouse(kind, *at)
+            await page.until("Boolean(document.querySelector('#problems .fix'))")
+            assert await page.value("vehsim.viewer.ticks.map((one) => one.frame)") == [1001, 1011]
+            assert "earliest" in await page.value("document.getElementById('problems').textContent")
+            await page.value("document.querySelector('#problems .fix').click()")
+            await page.until(f"{SOLVED} && vehsim.viewer.last > 1011 && vehsim.viewer.last < 1073")
+
+            await page.value("document.getElementById('do-save').click()")
+            await page.until("document.getElementById('do-save').disabled")
+            await page.value("document.getElementById('do-export').click()")
+            await page.until("document.getElementById('notice').textContent.startsWith('exported')")
+
+    asyncio.run(play())
+    assert "frame = 1073" not in path.read_text()
+    command = [sys.executable, "-m", "vehsim", "export", path, "--out", tmp_path / "cli", "--to", "usd,html"]
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE)
+    ours, theirs = (content(tmp_path / name / "drive") for name in ("out", "cli"))
+    assert "drive.html" in ours and ours == theirs
 
 
 BOX = """

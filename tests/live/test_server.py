@@ -159,11 +159,11 @@ def test_the_page_exports_the_bytes_of_the_command(path):
     assert "frame = 1085" in path.read_text()
     command = [sys.executable, "-m", "vehsim", "export", path, "--out", path.parent / "cli", "--to", "usd,html"]
     subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE)
-    ours, theirs = (_content(path.parent / name / "drive") for name in ("out", "cli"))
+    ours, theirs = (content(path.parent / name / "drive") for name in ("out", "cli"))
     assert "drive.html" in ours and ours == theirs
 
 
-def _content(folder):
+def content(folder):
     """The bytes of every file below a folder."""
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
