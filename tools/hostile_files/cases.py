@@ -30,6 +30,9 @@ ELSEWHERE, VEHICLES, EXAMPLES = ROOT / "tests" / "assets_elsewhere", ROOT / "ass
 HEAD = '[shot]\nschema = 1\nname = "{name}"\n'
 DRIVE = '[[vehicle]]\nname = "car"\nasset = "{asset}"\n[vehicle.motion]\nmethod = "simulate"\nduration = 0.1\n'
 GOOD = HEAD.format(name="good") + DRIVE.format(asset="car")
+MARK = "[[vehicle.motion.mark]]\nframe = {frame}\nposition = [{x}, 0, 0]\nvelocity = [2, 0, 0]\n"
+MOVES = HEAD.format(name="good") + '[[vehicle]]\nname = "car"\nasset = "car"\n[vehicle.motion]\nmethod = "plan"\n'
+MOVES += MARK.format(frame=1001, x=0) + MARK.format(frame=1025, x=2)
 
 
 @dataclass
@@ -341,7 +344,7 @@ def Xform "rig"
 EDIT = b"""#usda 1.0
 (
     defaultPrim = "car"
-    endTimeCode = 1003
+    endTimeCode = 1025
     metersPerUnit = 1
     startTimeCode = 1001
     timeCodesPerSecond = 24
@@ -349,22 +352,22 @@ EDIT = b"""#usda 1.0
 )
 def Xform "car"
 {
-    double3 xformOp:translate.timeSamples = { 1001: (0, 0, 0), 1002: (0.02, 0, 0), 1003: (0.05, 0.001, 0), }
-    double3 xformOp:rotateXYZ.timeSamples = { 1001: (0, 0, 0), 1003: (0, 0, 0.5), }
+    double3 xformOp:translate.timeSamples = { 1001: (0, 0, 0), 1013: (1, 0.02, 0), 1025: (2, 0, 0), }
+    double3 xformOp:rotateXYZ.timeSamples = { 1001: (0, 0, 0), 1013: (0, 0, 0.5), 1025: (0, 0, 0), }
     uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
 }
 """
 
 
 @cache
-def delivery() -> dict[str, bytes]:
-    """The files of a delivery, as the command writes them."""
+def delivery(shot: str = GOOD) -> dict[str, bytes]:
+    """The files of a delivery of a shot, as the command writes them."""
     import tempfile
 
     from vehsim import Shot
 
     with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "good.toml").write_text(GOOD)
+        Path(folder, "good.toml").write_text(shot)
         made = Shot.load(Path(folder, "good.toml")).solve().export(Path(folder, "out"), to=("usd", "npz"))
         return {str(file.relative_to(made)): file.read_bytes() for file in made.rglob("*") if file.is_file()}
 
@@ -734,9 +737,9 @@ def terrain_file(case: Case) -> None:
     case.shot('[world]\nterrain = "place"\n')
 
 
-def _delivery_with_a_broken_file(case: Case) -> None:
+def _delivery_with_a_broken_file(case: Case, shot: str = GOOD) -> None:
     """Half of the time it is the report or the motion, with wrong content in a whole file."""
-    files = delivery()
+    files = delivery(shot)
     wrong, damage = case.chance.choice(sorted(files)), broken
     if case.chance.random() < 0.5:
         wrong, by = case.chance.choice((("report.json", _values), ("car.npz", _members)))
@@ -796,15 +799,15 @@ def retouched(case: Case) -> None:
     """A delivery, at times with a broken file, and broken edits of its curves."""
     chance = case.chance
     if chance.random() < 0.4:
-        _delivery_with_a_broken_file(case)
+        _delivery_with_a_broken_file(case, MOVES)
     else:
-        for name, content in delivery().items():
+        for name, content in delivery(MOVES).items():
             case.write(f"good/{name}", content)
-    layer = next(name for name in delivery() if name.endswith(".anim.usdc"))
+    layer = next(name for name in delivery(MOVES) if name.endswith(".anim.usdc"))
     use = chance.choice(("layer", "layer", "curves", "strange", "stage"))
     case.words.append(use)
     if use == "layer":
-        edit = case.write("edit.usdc", broken(case, delivery()[layer]))
+        edit = case.write("edit.usdc", broken(case, delivery(MOVES)[layer]))
     elif use == "curves":
         edit = case.write("edit.usda", case.chance.choice((_numbers, _words))(chance, EDIT))
     elif use == "strange":
