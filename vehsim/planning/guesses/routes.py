@@ -75,11 +75,12 @@ def _flown(request: Request, kept: Sequence[Mark], progress: Progress) -> list[A
     found = _searched(request, kept, progress, roomy, near)
     if found is None and wider:
         found = _searched(request, kept, progress, roomy, wider[0])
-    found = shortened(found, tight)
-    if found is None:
-        return divided(_routes(request, kept, progress, tight, wider[0] if wider else near), request.marks)
     spacing = request.world.distance_field(progress, box=near).spacing  # the middle of a gap may be between its points
-    return divided(shortened(found, tight - spacing) or found, request.marks)
+    found = shortened(found, tight)
+    if found is None and wider:
+        found = _searched(request, kept, progress, tight, wider[0])
+    found = shortened(found, tight - spacing)
+    return divided(found or _routes(request, kept, progress, tight, [near, *wider][-1]), request.marks)
 
 
 def around(request: Request, paths: Sequence[Array]) -> list[Array]:
