@@ -96,6 +96,7 @@ def _in_plane(problem: Problem, vehicle: Any) -> tuple[Any, Callable[[Any], bool
         ends[-1].setX(float(mark.position[0]))
         ends[-1].setY(float(mark.position[1]))
         ends[-1].setYaw(float(heading_of(mark) or 0.0))
+        space.enforceBounds(ends[-1])  # -pi is inside, pi is not
     return space, valid, ends
 
 

@@ -2,7 +2,8 @@
 
 The ground is a grid of exact distances to the obstacles. A vehicle that turns in place follows the cheapest path over
 it. One with a turning circle follows arcs, forwards and backwards, from pose to pose (hybrid A*), guided by that path's
-length. The result is only a guess: the optimiser changes it, and certification judges the final motion.
+length, and finally a curve to the goal. The result is only a guess: the optimiser changes it, and certification judges
+the final motion.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import SolveError
+from vehsim.planning.guesses import dubins
 from vehsim.planning.outlines import gaps_to, inner_discs
 from vehsim.vehicles import Nonholonomic, Vehicle
 from vehsim.world.obstacles.obstacles import footprint
@@ -39,6 +41,16 @@ EAGER = 1.3
 """Factor on the estimated length of the remaining path: above 1, fewer poses are expanded."""
 POSES = 30_000
 """Maximum number of expanded poses."""
+PATIENCE = 1000
+"""After so many poses, a path that ends in a curve to the goal is taken although another may be half as long; after
+fewer, only if it is nearly the shortest."""
+STEPS = (1.0, 0.3)
+"""Lengths of arcs to try, relative to the default: where long ones lead nowhere, short ones may."""
+EARLY, EACH, TRIED = 50, 8, 2
+"""Curves to the goal are tried from each of the first `EARLY` poses, then from one of `EACH`: in each gear the shortest
+`TRIED`."""
+SHIFTED = 6
+"""Number of last poses of a found path that are shifted so that it ends exactly at the goal."""
 
 
 def guess_drive(
@@ -60,17 +72,19 @@ def guess_drive(
     nose = [bearing if heading is None else heading for heading in headings]
     # the search moves the body frame's origin (a car's rear axle) if there is a turning circle, otherwise the root
     lead = np.asarray(vehicle.origin[:2], float) if radius > 0 else np.zeros(2)
-    ground = _Ground(
-        vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance, SHY * 4**wariness, met
-    )
+    shy = SHY * 4 ** (wariness + len(vehicle.tied))  # the search does not know where a trailer swings
+    ground = _Ground(vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance, shy, met)
     path = ground.descend()
     if path is None:
         places = " to ".join("(" + ", ".join(f"{v:g}" for v in end[:2]) + ")" for end in ends)
         remedy = "open a gap, lower the clearance, or move the mark"
         raise SolveError(f"no path from {places} with {clearance:g} m clearance: obstacles close it", remedy)
     poses = None
-    if radius > 0:
-        poses = _Search(ground, radius).find(nose[0], headings[1])
+    for share in STEPS if radius > 0 else ():
+        search = _Search(ground, radius, (nose[0], headings[1]), share)
+        poses = search.find()
+        if poses is not None or search.looked >= POSES:
+            break
     if poses is None:
         poses = _facing(ground.pull(path), headings)
     root = poses[:, :2] - _turned(poses[:, 2], lead)
@@ -120,8 +134,10 @@ class _Ground:
     ) -> None:
         self.ends, self.clearance = ends, clearance
         outline = footprint(vehicle) - lead
-        self.discs = inner_discs(outline) or [(np.zeros(2), 0.0)]
-        self.radius = max(radius for _, radius in self.discs)
+        discs = inner_discs(outline) or [(np.zeros(2), 0.0)]
+        self.points = np.vstack([*(centre for centre, _ in discs), outline])
+        self.radii = np.array([*(radius for _, radius in discs), *np.zeros(len(outline))])
+        self.radius = float(self.radii.max())
         size = float(np.linalg.norm(outline, axis=1).max())
         still = [o.parts[i] for o, i in parts if not o.moves]
         still += [outline for outlines in met for outline in outlines[:: max(1, len(outlines) // 8)]]
@@ -135,6 +151,7 @@ class _Ground:
         lower, upper = np.maximum(lower, ends.min(axis=0) - reach), np.minimum(upper, ends.max(axis=0) + reach)
         self.cell = max(FINEST, min(float((upper - lower).max()) / CELLS, max(self.radius / 2, FINEST)))
         self.cell = max(self.cell, float((upper - lower).max()) / (2 * CELLS))
+        self.partly = self.cell / math.sqrt(2)  # a place in a cell may be so much freer than its middle
         self.lower = lower
         self.shape = tuple(np.ceil((upper - lower) / self.cell).astype(int) + 1)
         axes = [lower[k] + self.cell * np.arange(self.shape[k]) for k in (0, 1)]
@@ -144,23 +161,37 @@ class _Ground:
         for shape in still:
             far = np.minimum(far, gaps_to(shape, grid, enough))
         self.distance = far.reshape(self.shape)
+        self.capped = np.minimum(far, enough)
         near = np.linalg.norm(grid[:, 0, None] - ends, axis=2)
         own = np.array([max(0.0, self.distance[self.index(end)] - self.cell) for end in ends])
         # near an end with less clearance, require only what the end has
         self.demanded = np.minimum(self.radius + clearance, (own + 0.5 * near).min(axis=1)).reshape(self.shape)
-        over = np.clip((self.distance - self.demanded) / (2 * self.radius + 2 * clearance + 1e-9), 0, 1)
-        self.price = 1 + shy * (1 - over) ** 2
+        self.shy = shy
+        self.price = self.priced(self.distance - self.demanded)
+
+    def priced(self, spare: Array) -> Array:
+        """Cost of a metre where the vehicle has ``spare`` m more than it needs."""
+        over = np.clip(spare / (2 * self.radius + 2 * self.clearance + 1e-9), 0, 1)
+        return np.asarray(1 + self.shy * (1 - over) ** 2)
 
     def index(self, point: Array) -> tuple[int, int]:
-        i, j = np.clip(np.round((point - self.lower) / self.cell).astype(int), 0, np.array(self.shape) - 1)
+        i, j = self.cells(point[None])[0]
         return int(i), int(j)
 
-    def lengths_to(self, end: int) -> tuple[Array, NDArray[np.int64]]:
-        """Cost (nx, ny) of the cheapest path to an end from every cell, inf if there is none; and the next cells."""
+    def cells(self, points: Array) -> NDArray[np.int64]:
+        """The cells (n, 2) nearest to points (n, 2 or more)."""
+        nearest = np.round((points[:, :2] - self.lower) / self.cell).astype(int)
+        return np.asarray(np.clip(nearest, 0, np.array(self.shape) - 1))
+
+    def lengths_to(self, end: int, slack: float = 0.0) -> tuple[Array, NDArray[np.int64]]:
+        """Cost (nx, ny) of the cheapest path to an end from every cell, inf if there is none; and the next cells.
+
+        Cells that are ``slack`` m too near to obstacles are free.
+        """
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import dijkstra
 
-        free = self.distance >= self.demanded
+        free = self.distance >= self.demanded - slack
         free[self.index(self.ends[end])] = True
         number = np.arange(free.size).reshape(self.shape)
         rows, cols, weights = [], [], []
@@ -178,10 +209,13 @@ class _Ground:
         return np.asarray(lengths).reshape(self.shape), following
 
     def descend(self) -> Array | None:
-        """The cheapest path (k, 2) from start to goal, or None."""
-        lengths, following = self.lengths_to(1)
+        """The cheapest path (k, 2) from start to goal, or None; if no cells lead there, through cells partly free."""
         i, j = self.index(self.ends[0])
-        if not np.isfinite(lengths[i, j]):
+        for slack in (0.0, self.partly):
+            lengths, following = self.lengths_to(1, slack)
+            if np.isfinite(lengths[i, j]):
+                break
+        else:
             return None
         at, cells = i * self.shape[1] + j, []
         while at >= 0:
@@ -206,39 +240,37 @@ class _Ground:
         for _ in range(12):
             moved = points.copy()
             moved[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
-            cells = tuple(np.array([self.index(p) for p in moved]).T)
+            cells = tuple(self.cells(moved).T)
             points = np.where((self.distance[cells] >= self.demanded[cells])[:, None], moved, points)
         return points
 
     def _straight(self, path: Array, here: int, there: int) -> bool:
         count = max(2, there - here + 1)
         line = path[here] + np.linspace(0, 1, count)[:, None] * (path[there] - path[here])
-        cells = tuple(np.array([self.index(p) for p in line]).T)
+        cells = tuple(self.cells(line).T)
         if (self.distance[cells] < self.demanded[cells]).any():
             return False
-        old = tuple(np.array([self.index(p) for p in path[here : there + 1]]).T)
+        old = tuple(self.cells(path[here : there + 1]).T)
         length = np.linalg.norm(path[there] - path[here])
         before = np.linalg.norm(np.diff(path[here : there + 1], axis=0), axis=1).sum()
         return bool(length * self.price[cells].mean() <= before * self.price[old].mean() * 1.02)
 
-    def free_poses(self) -> NDArray[np.bool_]:
-        """Which poses (TURNS, nx, ny) are free: the vehicle's discs keep clear at a heading and cell."""
-        free = np.ones((TURNS, *self.shape), bool)
-        for turn in range(TURNS):
-            angle = 2 * np.pi * turn / TURNS
-            R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-            for centre, radius in self.discs:
-                i, j = np.round(R @ centre / self.cell).astype(int)
-                moved = np.full(self.shape, np.inf)
-                a, b = (slice(max(0, -k), n - max(0, k)) for k, n in zip((i, j), self.shape, strict=True))
-                c, d = (slice(max(0, k), n - max(0, -k)) for k, n in zip((i, j), self.shape, strict=True))
-                moved[a, b] = self.distance[c, d]
-                free[turn] &= moved >= radius + self.clearance
-        for end in self.ends:  # an end may itself be nearer than requested
-            grid = np.indices(self.shape) * self.cell
-            about = np.hypot(*(grid - (end - self.lower)[:, None, None])) < 2 * self.cell
-            free[:, about] = True
-        return free
+    def margins(self, poses: Array) -> Array:
+        """Least distances (n,) m from the discs and corners of the vehicle at poses (n, 3) to the obstacles.
+
+        Distances are interpolated between cells, because half a cell may be all the room that a gap leaves.
+        """
+        cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        x, y = self.points.T
+        i = (poses[:, :1] + cos * x - sin * y - self.lower[0]) / self.cell
+        j = (poses[:, 1:2] + sin * x + cos * y - self.lower[1]) / self.cell
+        low = np.clip(i.astype(int), 0, self.shape[0] - 2), np.clip(j.astype(int), 0, self.shape[1] - 2)
+        di, dj = np.clip(i - low[0], 0, 1), np.clip(j - low[1], 0, 1)
+        at = low[0] * self.shape[1] + low[1]
+        far, row = self.capped, self.shape[1]
+        before = far[at] + dj * (far[at + 1] - far[at])
+        after = far[at + row] + dj * (far[at + row + 1] - far[at + row])
+        return np.asarray((before + di * (after - before) - self.radii).min(axis=1))
 
 
 @dataclass(frozen=True)
@@ -253,61 +285,81 @@ class _Arc:
 class _Search:
     """Hybrid A*: poses connected by arcs of equal length; each cell and heading keeps its cheapest pose.
 
-    The search starts from the end with less free space: a path out of a gap is found sooner than a path into it.
+    The search starts from the end nearer to obstacles: a path out of a gap is found sooner than a path into it.
     """
 
-    def __init__(self, ground: _Ground, radius: float) -> None:
-        self.ground, self.radius = ground, radius
-        self.free = ground.free_poses()
-        self.step = max(1.5 * ground.cell, 2 * np.pi / TURNS * radius)
+    def __init__(self, ground: _Ground, radius: float, headings: Sequence[float | None], share: float) -> None:
+        self.ground, self.radius, self.headings = ground, radius, headings
+        self.own = np.array([
+            math.inf if heading is None else float(ground.margins(np.array([[*end, heading]]))[0])
+            for end, heading in zip(ground.ends, headings, strict=True)
+        ])  # fmt: skip
+        self.step = share * max(1.5 * ground.cell, 2 * np.pi / TURNS * radius)
+        self.place, self.turn = min(ground.cell, self.step / 1.5), share * 2 * np.pi / TURNS
+        self.looked = 0
         self.arcs = [
             _Arc(bend, gear, bend * gear * self.step) for gear in (1, -1) for bend in (0.0, 1 / radius, -1 / radius)
         ]
+        self.turns = np.array([arc.turn for arc in self.arcs])
+        self.ways = self.step * np.array([arc.gear for arc in self.arcs])
 
-    def find(self, heading: float, wanted: float | None) -> Array | None:
+    def find(self) -> Array | None:
         """Poses (k, 3) x, y m and heading rad from start to goal, or None if none was found."""
-        if wanted is None or self._room(0) <= self._room(1):
-            return self._from(0, heading, wanted, 1)
-        found = self._from(1, wanted, heading, -1)
+        if self.headings[1] is None or self.own[0] <= self.own[1]:
+            return self._from(0, 1)
+        found = self._from(1, -1)
         return None if found is None else found[::-1]
 
-    def _room(self, end: int) -> float:
-        """Share of free poses around an end."""
-        i, j = self.ground.index(self.ground.ends[end])
-        n = int(np.ceil(2 * self.radius / self.ground.cell))
-        return float(self.free[:, max(0, i - n) : i + n, max(0, j - n) : j + n].mean())
+    def _prices(self, poses: Array) -> Array:
+        """Cost (n,) of a metre at poses (n, 3), inf nearer than the clearance; near an end with less, what that end has
+        is enough."""
+        gone = np.hypot(*(poses[:, None, :2] - self.ground.ends).T)
+        demanded = np.minimum(self.ground.clearance, (self.own[:, None] + 0.5 * gone).min(axis=0) - 1e-6)
+        spare = self.ground.margins(poses) - demanded
+        return np.where(spare >= 0, self.ground.priced(spare), np.inf)
 
-    def _from(self, end: int, heading: float, wanted: float | None, ahead: int) -> Array | None:
+    def _from(self, end: int, ahead: int) -> Array | None:
         """Poses from one end to the other; ``ahead``: the preferred gear, 1 or -1."""
-        ground, free, price = self.ground, self.free, self.ground.price
+        ground = self.ground
         start, goal = ground.ends[end], ground.ends[1 - end]
-        lengths, _ = ground.lengths_to(1 - end)
+        heading, wanted = self.headings[end], self.headings[1 - end]
+        assert heading is not None
+        lengths, _ = ground.lengths_to(1 - end, ground.partly)
         (left, low), cell, (nx, ny) = ground.lower.tolist(), ground.cell, ground.shape
-        near, close = 1.5 * self.step, 2.5 * 2 * math.pi / TURNS
+        near, close = 1.5 * self.step, 2.5 * self.turn
         queue: list[tuple[float, int]] = [(0.0, 0)]
         poses, parents, costs = [(float(start[0]), float(start[1]), float(heading))], [-1], [0.0]
         drives = [_Arc(0.0, ahead, 0.0)]
         best: dict[tuple[int, int, int, int], float] = {}
-        looked = 0
-        while queue and looked < POSES:
-            _, k = heapq.heappop(queue)
+        least, last, curve = math.inf, 0, np.empty((0, 3))  # the cheapest path that ends in a curve to the goal
+        while queue and self.looked < POSES:
+            promised, k = heapq.heappop(queue)
+            if least < promised * (1 + self.looked / PATIENCE):
+                break
             x, y, angle = poses[k]
             here, drive = costs[k], drives[k]
             if best.get(self._key(x, y, angle, drive.gear), math.inf) < here:
                 continue
-            looked += 1
+            self.looked += 1
             off = 0.0 if wanted is None else abs((angle - wanted + math.pi) % (2 * math.pi) - math.pi)
             if math.hypot(x - goal[0], y - goal[1]) < near and off < close:
-                return self._back(k, poses, parents, goal, angle if wanted is None else wanted)
-            for arc in self.arcs:
-                nose, middle = angle + arc.turn, angle + arc.turn / 2
-                x1, y1 = x + arc.gear * self.step * math.cos(middle), y + arc.gear * self.step * math.sin(middle)
+                path = self._shifted(self._back(k, poses, parents), goal, angle if wanted is None else wanted)
+                if np.isfinite(self._prices(path[-SHIFTED:])).all():
+                    return path
+            if wanted is not None and (self.looked < EARLY or self.looked % EACH == 0):
+                for cost, way in self._curves(poses[k], (float(goal[0]), float(goal[1]), wanted), ahead, drive.gear):
+                    if here + cost < least:
+                        least, last, curve = here + cost, k, way
+            middle = angle + self.turns / 2
+            after = np.stack(
+                [x + self.ways * np.cos(middle), y + self.ways * np.sin(middle), angle + self.turns], axis=-1
+            )
+            for arc, pose, price in zip(self.arcs, after.tolist(), self._prices(after).tolist(), strict=True):
+                x1, y1, nose = pose
                 i, j = round((x1 - left) / cell), round((y1 - low) / cell)
-                if not (0 <= i < nx and 0 <= j < ny) or lengths[i, j] == math.inf:
+                if price == math.inf or not (0 <= i < nx and 0 <= j < ny) or lengths[i, j] == math.inf:
                     continue
-                if not free[round(nose * TURNS / (2 * math.pi)) % TURNS, i, j]:
-                    continue
-                cost = here + self.step * price[i, j] * (1.0 if arc.gear == ahead else BACK)
+                cost = here + self.step * price * (1.0 if arc.gear == ahead else BACK)
                 cost += SHIFT * (arc.gear != drive.gear) + STEER * (arc.bend != drive.bend)
                 key = self._key(x1, y1, nose, arc.gear)
                 if cost >= best.get(key, math.inf):
@@ -318,27 +370,48 @@ class _Search:
                 costs.append(cost)
                 drives.append(arc)
                 heapq.heappush(queue, (cost + EAGER * lengths[i, j], len(poses) - 1))
-        return None
+        return np.vstack([self._back(last, poses, parents), curve]) if least < math.inf else None
 
     def _key(self, x: float, y: float, angle: float, gear: int) -> tuple[int, int, int, int]:
-        ground = self.ground
-        i, j = round((x - ground.lower[0]) / ground.cell), round((y - ground.lower[1]) / ground.cell)
-        return i, j, round(angle * TURNS / (2 * math.pi)) % TURNS, gear
+        left, low = self.ground.lower
+        return (
+            round((x - left) / self.place),
+            round((y - low) / self.place),
+            round(angle % (2 * math.pi) / self.turn),
+            gear,
+        )
 
-    def _back(self, k: int, poses: Any, parents: Any, goal: Array, wanted: float) -> Array:
-        """The path to pose ``k``, with its last steps shifted so that it ends at the goal."""
+    def _curves(
+        self, pose: tuple[float, ...], goal: tuple[float, ...], ahead: int, gear: int
+    ) -> list[tuple[float, Array]]:
+        """Costs of free curves from a pose to the goal, one in each gear, and their poses (n, 3)."""
+        found = []
+        for drive in (ahead, -ahead):
+            away = 0.0 if drive > 0 else math.pi  # backwards, a curve leads where the tail points
+            ends = (*pose[:2], pose[2] + away), (*goal[:2], goal[2] + away)
+            for parts in sorted(dubins.curves(*ends, self.radius), key=dubins.length)[:TRIED]:
+                poses = dubins.along(ends[0], parts, self.step) - [0, 0, away]
+                price = float(self._prices(poses).mean())
+                if price < math.inf:
+                    cost = dubins.length(parts) * price
+                    found.append((cost * (1.0 if drive == ahead else BACK) + SHIFT * (drive != gear), poses))
+                    break
+        return found
+
+    def _back(self, k: int, poses: Sequence[tuple[float, ...]], parents: Sequence[int]) -> Array:
+        """The path (n, 3) to pose ``k``."""
         found = []
         while k >= 0:
             found.append(poses[k])
             k = parents[k]
-        path = np.array(found[::-1])
-        miss = (
-            np.array([goal[0], goal[1], path[-1, 2] + (wanted - path[-1, 2] + np.pi) % (2 * np.pi) - np.pi]) - path[-1]
-        )
-        share = (
-            np.clip(np.arange(len(path)) - (len(path) - 6), 0, 5) / 5 if len(path) > 6 else np.linspace(0, 1, len(path))
-        )
-        return np.asarray(path + share[:, None] * miss)
+        return np.array(found[::-1])
+
+    def _shifted(self, path: Array, goal: Array, wanted: float) -> Array:
+        """A path with its last poses shifted so that it ends at the goal."""
+        turn = (wanted - path[-1, 2] + np.pi) % (2 * np.pi) - np.pi
+        last = min(SHIFTED, len(path))
+        share = np.concatenate([np.zeros(len(path) - last), np.linspace(0, 1, last)])
+        return np.asarray(path + share[:, None] * [*(goal - path[-1, :2]), turn])
 
 
 def _turned(angle: Array, point: Array) -> Array:

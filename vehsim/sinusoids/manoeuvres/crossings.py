@@ -13,6 +13,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from vehsim.planning.guesses import dubins
 from vehsim.sinusoids.manoeuvres.train import Pose, Train
 from vehsim.sinusoids.system import Array
 
@@ -64,19 +65,10 @@ def _round_bends(a: Pose, b: Pose, radius: float, lead: float) -> Iterator[list[
     Corners start and end ``lead`` m before and after their arcs: a short arc needs this, or the train swings.
     """
     start, end = a.ahead(lead), b.ahead(-lead)
-    for first, last in product((1.0, -1.0), repeat=2):
-        centre_a, centre_b = _beside(start, first * radius), _beside(end, last * radius)
-        gap = centre_b - centre_a
-        far = float(np.hypot(*gap))
-        twist = 0.0 if first == last else 2 * first * radius
-        if far < abs(twist) + 1e-9:
-            continue
-        along = float(np.arctan2(gap[1], gap[0])) + (np.arcsin(twist / far) if twist else 0.0)
-        straight = float(np.sqrt(far**2 - twist**2))
-        room = straight
-        arcs = [first * (first * (along - a.heading) % math.tau), last * (last * (b.heading - along) % math.tau)]
-        arcs = [0.0 if min(abs(arc), math.tau - abs(arc)) < 1e-9 else arc for arc in arcs]
-        room -= lead * sum(arc != 0 for arc in arcs)
+    for (turned, first), (straight, _), (unturned, last) in dubins.curves(_pose(start), _pose(end), radius):
+        centre_a, centre_b = (_beside(at, math.copysign(radius, bend)) for at, bend in ((start, first), (end, last)))
+        arcs = [first * turned, last * unturned]
+        room = straight - lead * sum(arc != 0 for arc in arcs)
         if room < -1e-9:
             continue
         bend = _around(start, centre_a, arcs[0])
@@ -99,6 +91,10 @@ def _around(start: Pose, centre: Array, arc: float) -> list[Pose]:
         x, y = centre + np.array([c * spoke[0] - s * spoke[1], s * spoke[0] + c * spoke[1]])
         poses.append(Pose(float(x), float(y), start.heading + turn))
     return poses
+
+
+def _pose(pose: Pose) -> tuple[float, float, float]:
+    return pose.x, pose.y, pose.heading
 
 
 def _beside(pose: Pose, distance: float) -> Array:
