@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
+import hulls
 import numpy as np
 import pytest
-from hulls import floating
+from hulls import FORMS, floating
 from test_wave_response import surface
 
 import vehsim
@@ -20,9 +21,9 @@ from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.vehicles import State
 from vehsim.vehicles.definition.coefficients import Coefficients, Memory
-from vehsim.world.water.boundary_elements import available, peaks, plausible
+from vehsim.world.water.boundary_elements import available, panels, peaks, plausible
 from vehsim.world.water.buoyancy import Afloat
-from vehsim.world.water.hull_mesh import HullMesh
+from vehsim.world.water.hull_mesh import HullMesh, wetted
 from vehsim.world.water.memory import WEAK, Radiation, Remembered, fitted, gain, radiating
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
@@ -303,6 +304,26 @@ def test_a_file_that_is_not_a_hulls_is_refused(tmp_path, name, change):
     np.savez(tmp_path / "bad.npz", **content | {name: change(content[name])})
     with pytest.raises(InputError):
         Coefficients.load(tmp_path / "bad.npz")
+
+
+def test_panels_of_a_flat_bottom_do_not_fold(monkeypatch):
+    """A RIB: its panels face down or aside, as its bottom does. Where some were turned over, its heave in short
+    waves was 20 times too large."""
+
+    def rib(x, z):
+        return (1 - np.abs(x) ** np.where(x > 0, 3.0, 12.0)) * np.clip((1 + z) / 0.6, 0, 1)
+
+    monkeypatch.setitem(FORMS, "rib", rib)
+    finer = partial(hulls.sections, many=(80, 24), even=False)
+    monkeypatch.setattr(hulls, "sections", finer)
+    hull = HullMesh(*hulls.lofted("rib", (7.5, 2.6, 0.5), 0.5), "rib").simplified(2000)
+    points, faces = panels(hull, 0.0)
+    corners = points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    assert abs(normals[:, 2].sum()) > 0.998 * np.abs(normals[:, 2]).sum()
+    under = wetted(np.column_stack([hull.points, -hull.points[:, 2]]), hull.faces)
+    volume = -(normals[:, 2] * corners[:, :, 2].mean(axis=1)).sum()
+    assert abs(volume) == pytest.approx(under.volume(np.array([0, 0, 1.0])), rel=0.02)
 
 
 def test_a_peak_asks_for_more_frequencies():

@@ -43,9 +43,11 @@ PANELS = 1000
 """Most panels: the time grows with the square of their number."""
 SIMPLE = 400
 """Faces of the hull before it is divided into panels."""
+LEAST, MOST = 1e-5, 0.01
+"""How far its surface may move for that, over its size: tried from the least on."""
 APART = 0.2
 """Largest plausible difference of two added masses; it is below 0.1 for single hulls."""
-KIND = "hydro-5"
+KIND = "hydro-6"
 """Of cached results: change the number when the method changes."""
 MOST_KEPT = 200_000_000
 """Bytes of all cached results: those of about 500 hulls."""
@@ -68,7 +70,7 @@ def panels(hull: HullMesh, height: float) -> tuple[Array, NDArray[np.int64]]:
     """Points (n, 3) m and triangles (m, 3) of the wetted surface of a ``hull`` about the body frame's origin, which is
     ``height`` m above the water, at height 0."""
     size = float(np.ptp(hull.points, axis=0).max())
-    coarse, edge, found = hull.simplified(SIMPLE), size / 4, None
+    coarse, edge, found = _unfolded(hull), size / 4, None
     while True:
         mesh = coarse.refined(edge)
         corners = wetted(np.column_stack([mesh.points, -height - mesh.points[:, 2]]), mesh.faces).corners
@@ -82,6 +84,23 @@ def panels(hull: HullMesh, height: float) -> tuple[Array, NDArray[np.int64]]:
     faces = faces.reshape(-1, 3)
     a, b, c = faces.T
     return places[first], faces[(a != b) & (b != c) & (c != a)]
+
+
+def _unfolded(hull: HullMesh) -> HullMesh:
+    """A similar surface of the same volume and about `SIMPLE` faces. None is turned over: `HullMesh.simplified` folds
+    flat bottoms, which buoyancy does not feel, but panels that face each other make waves of their own."""
+    import manifold3d
+
+    solid = manifold3d.Manifold(manifold3d.Mesh64(hull.points, hull.faces.astype(np.uint64)))
+    if len(hull.faces) <= SIMPLE or solid.is_empty():
+        return hull.simplified(SIMPLE)
+    size, within = float(np.ptp(hull.points, axis=0).max()), LEAST
+    while (rough := solid.simplify(within * size)).num_tri() > SIMPLE and within < MOST:
+        within *= 1.5
+    mesh = rough.to_mesh64()
+    points, middle = np.asarray(mesh.vert_properties)[:, :3], hull.points.mean(axis=0)
+    larger = np.cbrt(hull.volume / rough.volume())
+    return hull.replaced(middle + larger * (points - middle), np.asarray(mesh.tri_verts, np.int64))
 
 
 def coefficients(hull: HullMesh, height: float, progress: Progress | None = None) -> Coefficients:
