@@ -459,7 +459,7 @@ def test_capytaine_computes_a_hull(tmp_path, monkeypatch):
     body = afloat("barge")
     done = []
     found = boundary_elements.coefficients(body.hull, body.floating()[0], lambda what, share: done.append(share))
-    np.testing.assert_allclose(np.diag(found.infinite), np.diag(coefficients("barge").infinite), rtol=0.2)
+    np.testing.assert_allclose(np.diag(found.infinite), np.diag(coefficients("barge").infinite), rtol=0.3)
     assert len(done) > 10
     assert len(list((tmp_path / "cache").glob("capytaine-*"))) == 1
     monkeypatch.setattr(boundary_elements, "_computed", None)
