@@ -49,6 +49,8 @@ STEPS = (1.0, 0.3)
 EARLY, EACH, TRIED = 50, 8, 2
 """Curves to the goal are tried from each of the first `EARLY` poses, then from one of `EACH`: in each gear the shortest
 `TRIED`."""
+LOOP = 1.5
+"""A vehicle without constraints, such as a boat, goes sideways rather than along arcs longer by this factor."""
 SHIFTED = 6
 """Number of last poses of a found path that are shifted so that it ends exactly at the goal."""
 
@@ -85,8 +87,9 @@ def guess_drive(
         poses = search.find()
         if poses is not None or search.looked >= POSES:
             break
-    if poses is None:
-        poses = _facing(ground.pull(path), headings)
+    straight = _facing(ground.pull(path), headings)
+    if poses is None or (not isinstance(vehicle, Nonholonomic) and _length(poses) > LOOP * _length(straight)):
+        poses = straight
     root = poses[:, :2] - _turned(poses[:, 2], lead)
     return np.column_stack([root, np.linspace(ends[0, 2], ends[1, 2], len(poses)), poses[:, 2]])
 
@@ -418,6 +421,10 @@ def _turned(angle: Array, point: Array) -> Array:
     """``point`` (2,) rotated by angles (n,) rad: (n, 2)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.column_stack([c * point[0] - s * point[1], s * point[0] + c * point[1]])
+
+
+def _length(path: Array) -> float:
+    return float(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum())
 
 
 def _facing(path: Array, headings: Sequence[float | None]) -> Array:
