@@ -1,11 +1,11 @@
-"""Paces along paths among moving obstacles, against closed forms."""
+"""Paces along paths, among moving obstacles too, against closed forms."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from vehsim.planning.guesses.pacing import FINER, MEETING, STEPS, changes_of_gear, paced, smoothest, stations
+from vehsim.planning.guesses.pacing import FINER, MEETING, STEPS, changes_of_gear, paced, smoothest, stations, stopping
 
 LENGTH, SECONDS = 24.0, 12.0
 
@@ -71,3 +71,21 @@ def test_changes_of_direction_are_counted_where_the_vehicle_moves():
     sideways = np.column_stack([0.01 * (-1.0) ** np.arange(12), np.arange(12.0), np.zeros((12, 2))])
     assert not changes_of_gear(sideways).any()
     assert not changes_of_gear(poses[:, :3]).any() and not changes_of_gear(poses[:1]).any()
+
+
+def test_guesses_stop_where_they_change_their_direction():
+    """Four metres ahead and one back, from rest to rest: the turning point comes after two thirds of the time."""
+    x = np.concatenate([np.linspace(0, 4, 401), np.linspace(3.99, 3, 100)])
+    path = np.column_stack([x, np.zeros((len(x), 3))])
+    paced = stopping(path, (True, True))
+    share, turn = paced[:, 4], int(x.argmax())
+    assert share[0] == 0 and share[-1] == 1 and (np.diff(share) > 0).all()
+    assert share[turn] == pytest.approx(2 / 3, abs=0.01)
+    speed = np.abs(np.diff(x)) / np.diff(share)
+    assert max(speed[0], speed[turn - 1], speed[turn], speed[-1]) < 0.15 * speed.max()
+    straight = path[: turn + 1]
+    assert stopping(straight, (True, True)) is straight
+    moving = stopping(path, (False, True))
+    assert np.diff(x)[0] / np.diff(moving[:, 4])[0] > 0.5 * speed.max()
+    sideways = np.column_stack([x[: turn + 1], np.zeros((turn + 1, 2)), np.linspace(0, 1.75, turn + 1)])
+    assert stopping(sideways, (True, True)) is sideways

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.lie import SO3
 from vehsim.lie.vectorized import stacked
+from vehsim.planning.guesses.pacing import pace, stopping
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import cuts_of, legs_between, mark_positions, poses_of
@@ -37,14 +39,16 @@ def along_paths(
 ) -> Array:
     """Variables (size,) of a motion along ``paths`` (one per leg), in balance as at rest in the wind.
 
-    A path is a polyline (k, 3) m, of poses (k, 4) with headings in rad, or of poses with shares of the leg's duration
-    (k, 5). ``aims``: (first knot, last knot, point (3,) m, angle rad): between these knots the vehicle heads for the
-    point, plus the angle to the right.
+    A path is a polyline (k, 3) m, of poses (k, 4) with headings in rad, along which the vehicle stops wherever it
+    changes its direction, or of poses with shares of the leg's duration (k, 5). ``aims``: (first knot, last knot, point
+    (3,) m, angle rad): between these knots the vehicle heads for the point, plus the angle to the right.
     """
     fraction, leg = _knot_fractions(layout)
     s, positions = np.empty(len(leg)), np.empty((len(leg), 3))
+    rests = [(before.at_rest, after.at_rest) for before, after in pairwise(marks)]
+    paths = [stopping(path, each) if path.shape[1] == 4 else path for path, each in zip(paths, rests, strict=True)]
     for j, path in enumerate(paths):
-        s[leg == j] = _progress(path, _pace(marks[j].at_rest, marks[j + 1].at_rest), fraction[leg == j])
+        s[leg == j] = _progress(path, pace(*rests[j]), fraction[leg == j])
         positions[leg == j] = _along(path, s[leg == j])[:, :3]
     headings = _headings(marks, paths, s, leg)
     for first, last, point, offset in aims:
@@ -122,12 +126,6 @@ def _knot_fractions(layout: Layout) -> tuple[Array, NDArray[np.intp]]:
     fraction = np.concatenate([*(np.arange(count) / count for count in layout.legs), [1.0]])
     leg = np.repeat(np.arange(len(layout.legs)), layout.legs)
     return fraction, np.append(leg, len(layout.legs) - 1)
-
-
-def _pace(rest_before: bool, rest_after: bool) -> Array:
-    """A cubic from 0 to 1 whose ends are at rest where the marks are."""
-    a, b = 0.0 if rest_before else 1.0, 0.0 if rest_after else 1.0
-    return np.array([a + b - 2, 3 - 2 * a - b, a, 0.0])
 
 
 def _progress(path: Array, pace: Array, fraction: Array) -> Array:
