@@ -66,6 +66,7 @@ def guess_drive(
 ) -> Array:
     """A path (k, 4) of x, y, z m and heading rad from ``ends[0]`` to ``ends[1]`` (2, 3) m, clear of standing ``parts``.
 
+    Where no such path of arcs is found, or a boat would loop, only the reference point is clear of them.
     ``headings``: headings at either end in rad, or None. Each step of ``wariness`` makes narrow gaps more expensive.
     ``met``: outlines (n, k, 2) to avoid if possible. Raises ``SolveError`` if there is no path.
     """
@@ -87,9 +88,9 @@ def guess_drive(
         poses = search.find()
         if poses is not None or search.looked >= POSES:
             break
-    straight = _facing(ground.pull(path), headings)
-    if poses is None or (not isinstance(vehicle, Nonholonomic) and _length(poses) > LOOP * _length(straight)):
-        poses = straight
+    if poses is None or not isinstance(vehicle, Nonholonomic):
+        straight = _facing(ground.pull(path), headings)
+        poses = straight if poses is None or _length(poses) > LOOP * _length(straight) else poses
     root = poses[:, :2] - _turned(poses[:, 2], lead)
     return np.column_stack([root, np.linspace(ends[0, 2], ends[1, 2], len(poses)), poses[:, 2]])
 
@@ -278,11 +279,10 @@ class _Ground:
 
 @dataclass(frozen=True)
 class _Arc:
-    """One step of the search: ``bend`` 1/m, ``gear`` +1 forwards or -1 backwards, ``turn`` rad."""
+    """One step of the search: ``bend`` 1/m, ``gear`` +1 forwards or -1 backwards."""
 
     bend: float
     gear: int
-    turn: float
 
 
 class _Search:
@@ -300,10 +300,8 @@ class _Search:
         self.step = share * max(1.5 * ground.cell, 2 * np.pi / TURNS * radius)
         self.place, self.turn = min(ground.cell, self.step / 1.5), share * 2 * np.pi / TURNS
         self.looked = 0
-        self.arcs = [
-            _Arc(bend, gear, bend * gear * self.step) for gear in (1, -1) for bend in (0.0, 1 / radius, -1 / radius)
-        ]
-        self.turns = np.array([arc.turn for arc in self.arcs])
+        self.arcs = [_Arc(bend, gear) for gear in (1, -1) for bend in (0.0, 1 / radius, -1 / radius)]
+        self.turns = self.step * np.array([arc.bend * arc.gear for arc in self.arcs])
         self.ways = self.step * np.array([arc.gear for arc in self.arcs])
 
     def find(self) -> Array | None:
@@ -332,7 +330,7 @@ class _Search:
         near, close = 1.5 * self.step, 2.5 * self.turn
         queue: list[tuple[float, int]] = [(0.0, 0)]
         poses, parents, costs = [(float(start[0]), float(start[1]), float(heading))], [-1], [0.0]
-        drives = [_Arc(0.0, ahead, 0.0)]
+        drives = [_Arc(0.0, ahead)]
         best: dict[tuple[int, int, int, int], float] = {}
         least, last, curve = math.inf, 0, np.empty((0, 3))  # the cheapest path that ends in a curve to the goal
         while queue and self.looked < POSES:
