@@ -353,6 +353,30 @@ def test_only_impacts_take_small_steps(block):
     assert max(step(-1e-3, -0.9), step(1e-5, -2.0), step(-5e-3, 0.0)) < 0.35
 
 
+def test_what_slides_or_rests_is_soft_until_it_is_hit(block, monkeypatch):
+    """A sliding block brakes by friction alone, with long steps although its contacts could stop 20 m/s; one that rests
+    and is then hit at 20 m/s does not sink into the floor."""
+    evaluations, touching = [0], ContactScene._touching
+
+    def counted(*given):
+        evaluations[0] += 1
+        return touching(*given)
+
+    monkeypatch.setattr(ContactScene, "_touching", counted)
+    world = World(obstacles=[FLOOR], contact=Contact(0.4, 0.3, 20.0))
+    start = State(position=(0, 0, 0.2), twist=(0, 0, 0, 3.0, 0, 0))
+    clip = vehsim.simulate(block(), world, None, start, duration=0.5, step=1 / 24)
+    assert clip.twists[-1, 3] == pytest.approx(3.0 - 0.4 * 9.81 * 0.5, rel=5e-3)
+    assert evaluations[0] < 1000  # 6,145 at the stiffness for 20 m/s
+    movers = {
+        "low": Mover(block(), None, State(position=(0, 0, 0.2))),
+        "high": Mover(block(), None, State(position=(0.1, 0, 10.7), twist=(0, 0, 0, 0, 0, -15.0))),
+    }
+    low, high = simulate_together(movers, world, 0.62, step=1 / 600).values()
+    assert abs(np.diff(high.twists[:, 5])).max() > 10  # they met
+    assert low.positions[:, 2].min() > 0.2 - 0.02
+
+
 @pytest.mark.parametrize("speed", [20.0, 2.0])
 def test_hulls_of_several_parts_are_detected_before_contact(tmp_path, speed):
     """Two floats side by side, bows towards a quay: monitored before they touch, they bounce as one block does."""

@@ -2,10 +2,10 @@
 grip of each touching pair.
 
 MuJoCo finds where hulls meet obstacles and each other (`mj_collision`), `grounding.py` where they meet terrain, and
-`rock.py` where they meet one with overhangs. Each touching pair acts as one spring and damper, whose stiffness keeps
-the depth below `DEPTH` at the fastest approach. Its force is distributed over the contact points by their depth; a
-`Grip` acts along the surface, up to Coulomb's friction. Spring and damper follow from the effective mass of the
-contact, so restitution does not depend on the bodies.
+`rock.py` where they meet one with overhangs. Each touching pair acts as one spring and damper, as stiff as its approach
+requires to keep the depth below `DEPTH`; what rests or slides is softer, and takes longer steps. Its force is
+distributed over the contact points by their depth; a `Grip` acts along the surface, up to Coulomb's friction. Spring
+and damper follow from the effective mass of the contact, so restitution does not depend on the bodies.
 """
 
 from __future__ import annotations
@@ -39,6 +39,14 @@ Forces = dict[tuple[int, str], tuple[Array, Array, Array]]
 
 DEPTH = 0.012
 """Largest depth of hulls that meet at `Contact.speed`, m."""
+FIRM = 4.0
+"""Speed for which a pair is stiff, over that at which it closes: impacts stay this much below `DEPTH`, except the
+fastest."""
+GENTLEST = 2.0
+"""The lowest such speed, m/s: the weight of what rests presses it in by 0.35 mm."""
+SOFTENING = 0.25
+"""Time in which a pair that stays in touch becomes as soft as its motion permits, by a factor of e, s: far longer than
+any impact."""
 BURIED = 0.02
 """A start deeper than this is refused, m: contact would shoot the vehicle out."""
 RESOLVED = 0.06
@@ -94,7 +102,16 @@ class Contact:
     @property
     def step(self) -> float:
         """The longest step during contact, s."""
-        return min(RESTING, DAMPED / max(self.damping, 1e-9)) / self.frequency
+        return self.step_of(self.stiff_for(0.0), False)
+
+    def stiff_for(self, closing: float) -> float:
+        """The speed for which a pair is stiff that closes at ``closing`` m/s."""
+        return min(max(FIRM * closing, GENTLEST), float(self.speed))
+
+    def step_of(self, speed: float, impact: bool) -> float:
+        """The longest step of a pair that is stiff for ``speed`` m/s, s."""
+        phase = RESOLVED / (1 + self.damping) if impact else min(RESTING, DAMPED / max(self.damping, 1e-9))
+        return phase * DEPTH / speed
 
     @property
     def damping(self) -> float:
@@ -258,14 +275,17 @@ class ContactScene:
             self._refuse_buried(pairs)
         total = [np.zeros(6) for _ in moving]
         forces: Forces = {}
-        brisk, grips, before = self._nearing, self._grips, self._pushes
+        grips, before, longest = self._grips, self._pushes, self.contact.step
+        if self._nearing:
+            longest = self.contact.step_of(self.contact.stiff_for(self._nearing), self._nearing > GENTLE)
+        softer = math.exp(-min(max(t - self._time, 0.0), self.next_step) / SOFTENING)
         self._grips = {pair: grip for pair, grip in grips.items() if self._rests(pair)}
         self._pushes = {pair: push for pair, push in before.items() if self._rests(pair)}
         for (a, b, name), points in pairs.items():
             one, other = moving[a], None if b is None else moving[b]
             grip = self._grips[a, b, name] = grips.get((a, b, name)) or Grip(one, other)
-            push, closing, kick = self._push(one, other, points, grip)
-            brisk = max(brisk, kick, float(closing.max()))
+            push, closing, kick = self._push(one, other, points, grip, softer)
+            longest = min(longest, self.contact.step_of(grip.speed, max(kick, float(closing.max())) > GENTLE))
             self._pushes[a, b, name] = points, push, closing
         for (a, b, name), (points, push, closing) in self._pushes.items():
             total[a] += moving[a].wrench(points.places, push)
@@ -274,8 +294,7 @@ class ContactScene:
                 assert b is not None
                 total[b] += moving[b].wrench(points.places, -push)
                 forces[(b, _plain(self.bodies[a].name))] = points.places, -push, closing
-        impact = RESOLVED / (1 + self.contact.damping) / self.contact.frequency
-        self.next_step = max(impact if brisk > GENTLE else self.contact.step, AHEAD * self._soon)
+        self.next_step = max(longest, AHEAD * self._soon)
         self._see_rest(moving)
         self._note(t, forces)
         self._last = list(states), total[: len(self.bodies)], forces
@@ -384,7 +403,7 @@ class ContactScene:
         return pairs
 
     def _push(
-        self, a: MovingBody | Led, b: MovingBody | Led | None, points: Points, grip: Grip
+        self, a: MovingBody | Led, b: MovingBody | Led | None, points: Points, grip: Grip, softer: float
     ) -> tuple[Array, Array, float]:
         """Forces (n, 3) N on ``a`` and closing speeds (n,) m/s of a pair's points; and the rebound speed of a spring
         with their combined push, m/s."""
@@ -396,14 +415,16 @@ class ContactScene:
         mass = 1 / (a.yielding(middle, mean) + (0.0 if b is None else b.yielding(middle, mean)))
         velocity = a.velocity(points.places) - (0.0 if b is None else b.velocity(points.places))
         closing = -(velocity * normals).sum(axis=1)
-        stiff = c.frequency * points.depths + 2 * c.damping * closing
-        pressure = np.maximum(0.0, share * mass * c.frequency * stiff)
+        grip.speed = max(c.stiff_for(float(closing.max())), softer * grip.speed)
+        frequency = grip.speed / DEPTH
+        stiff = frequency * points.depths + 2 * c.damping * closing
+        pressure = np.maximum(0.0, share * mass * frequency * stiff)
         slide = velocity + closing[:, None] * normals
         load = float(pressure.sum())  # where there is more of it, friction holds more: all points slide at once
         masses = mass * (pressure / load if load > 0 else share)
-        hold = grip.hold(a, b, middle, mean, points, slide, masses, SIDEWAYS * c.frequency, c.friction * pressure)
+        hold = grip.hold(a, b, middle, mean, points, slide, masses, SIDEWAYS * frequency, c.friction * pressure)
         force = pressure[:, None] * normals + hold
-        return force, closing, load / (mass * c.frequency)
+        return force, closing, load / (mass * frequency)
 
     def _note(self, t: float, forces: Forces) -> None:
         """Open events, and add the impulse since the last time."""

@@ -17,11 +17,11 @@ class Grip:
 
     They are stretched by ``shift`` (3,) m at the middle of the contact and ``twist`` (3,) rad around its normal, and
     follow the motion of the bodies from one evaluation to the next, so that a body at rest does not creep. Springs that
-    would pull harder than friction permits slide along.
+    would pull harder than friction permits slide along. ``speed`` m/s: the closing speed for which the pair is stiff.
     """
 
     def __init__(self, a: MovingBody | Led, b: MovingBody | Led | None) -> None:
-        self.shift, self.twist, self.slides = np.zeros(3), np.zeros(3), True
+        self.shift, self.twist, self.slides, self.speed = np.zeros(3), np.zeros(3), True, 0.0
         self._poses = _pose(a), _pose(b)
 
     def hold(
