@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dome_mean, exposure_of, sky_image
 from vehsim.exporters.usd.scenery.water import surfaces
-from vehsim.exporters.usd.scenery.water_grid import Net, lay_grid
+from vehsim.exporters.usd.scenery.water_grid import Grid, Net, covers, lay_grid
 from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, TILE, patches, ripples
 from vehsim.exporters.usd.stage import Material, Shape, StageReader
 from vehsim.intake.images import read_colours
@@ -230,7 +231,28 @@ def motion_block(take: Take, kinematics: Kinematics) -> bytes:
     return pack.block({"kind": "motion", **_motion(pack, take, poses, kinematics.stage), "cameras": cameras})
 
 
-def water_block(take: Take, stage: StageReader, progress: Callable[[float], object]) -> bytes:
+@dataclass(frozen=True)
+class DrawnWater:
+    """The moving surface of a take's water: its ``block`` for the page, and what it was made of."""
+
+    block: bytes
+    grid: Grid
+    origin: Array
+    content: str
+
+    def shows(self, take: Take, stage: StageReader) -> bool:
+        """Whether it is also that of another take, whose flying vehicles and cameras may move where it is fine."""
+        same = np.array_equal(self.origin, stage.origin) and self.content == _stirred(take)
+        return same and covers(self.grid, take)
+
+
+def _stirred(take: Take) -> str:
+    """A hash of what moves a take's water: waves, wind and what floats."""
+    afloat = {name: clip for name, clip in take.clips.items() if getattr(clip.vehicle, "hull", None) is not None}
+    return replace(take, name="", clips=afloat, cameras=(), world=take.world.with_only(())).content_hash
+
+
+def draw_water(take: Take, stage: StageReader, progress: Callable[[float], object]) -> DrawnWater:
     """The moving surface of a take's water, computed without writing a stage; ``stage`` gives the origin.
 
     ``progress`` receives the share of the frames that are done.
@@ -243,7 +265,8 @@ def water_block(take: Take, stage: StageReader, progress: Callable[[float], obje
             progress(k / len(frames))
             yield net.of(surface.points - stage.origin), net.of(surface.foam)
 
-    return pack.block({"kind": "water", **_surface(pack, net.shape, net.of(grid.xy), shown(), len(frames))})
+    block = pack.block({"kind": "water", **_surface(pack, net.shape, net.of(grid.xy), shown(), len(frames))})
+    return DrawnWater(block, grid, stage.origin, _stirred(take))
 
 
 def _motion(pack: Packing, take: Take, poses: Array, stage: StageReader) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The html exporter: the block of bytes against the clips, the page on its own, and in a browser."""
 
 import base64
+import copy
 import json
 import re
 import zlib
@@ -243,10 +244,24 @@ def test_water_moves_as_on_the_stage(toys, tmp_path, monkeypatch, most, form):
         assert np.abs(shown[k] - points[::every, ::every].reshape(-1, 3)).max() <= 0.51 * water["step"] + 1e-4
     assert np.ptp(shown[:, :, 2]) > 0.5
 
-    alone = Block(web.water_block(take, stage, lambda share: None))
+    drawn = web.draw_water(take, stage, lambda share: None)
+    alone = Block(drawn.block)
     assert alone.header["shape"] == water["shape"]
     np.testing.assert_allclose(_moved(alone, alone.header), shown, atol=1.01 * water["step"] + 1e-4)
     np.testing.assert_allclose(alone.array(alone.header["foam"]), block.array(water["foam"]), atol=2)
+
+    def with_clip(clip):
+        return replace(take, clips={"toy0": clip})
+
+    near, far = (replace(clip, positions=clip.positions + np.array([0.0, y, 0.0])) for y in (0.5, 80.0))
+    assert drawn.shows(take, stage)
+    assert drawn.shows(with_clip(near), stage) and not drawn.shows(with_clip(far), stage)  # nothing floats
+    higher = World(water=Water(surface=wave(0.7, 25.0)))
+    assert not drawn.shows(replace(take, world=higher), stage)
+    boat = copy.copy(clip.vehicle)
+    boat.hull = "any"
+    boats = [replace(one, vehicle=boat) for one in (clip, near)]
+    assert web._stirred(with_clip(boats[0])) != web._stirred(with_clip(boats[1]))
 
 
 def _moved(block, water):

@@ -235,7 +235,7 @@ def afloat(tmp_path):
     path = tmp_path / "afloat.toml"
     water = "[[world.water.wave]]\nheight = 0.2\nlength = 9\n"
     path.write_text(
-        SHOT.replace("[[vehicle]]", water + "[[vehicle]]", 1).replace('"car"', '"boat"').replace("1073", "1121")
+        SHOT.replace("[[vehicle]]", water + "[[vehicle]]", 1).replace('"car"', '"boat"').replace("1073", "1145")
     )
     return path
 
@@ -248,21 +248,42 @@ def test_a_boat_is_shown_before_the_water_moves(afloat):
             still = scene.header["water"]
             assert still["shape"] == water.header["shape"]
             count = np.prod(still["shape"])
-            assert len(scene.array(still["foam"])) == count and len(water.array(water.header["foam"])) == 121 * count
+            assert len(scene.array(still["foam"])) == count and len(water.array(water.header["foam"])) == 145 * count
             height = scene.array(still["start"])[2::3].max()
             assert height == pytest.approx(0.1, abs=0.01)  # the wave itself is there, half of 0.2 m
             before = len(page.seen)
-            await page.send(**moved("place", 9, 1))
-            await page.until("water")
-            assert "motion" in page.seen[before:] and "scene" not in page.seen[before:]
+            await page.send(**moved("place", 9, 1))  # a boat in plan view, which makes no wake
+            await page.until("state", lambda state: state["solved"] and state["changed"])
+            assert "motion" in page.seen[before:] and not {"scene", "water"} & set(page.seen[before:])
             async with browser(address) as late:  # it sees what the others see
                 assert (await late.until("water")).header == page.last["water"].header
 
     asyncio.run(run())
 
 
+def test_water_is_drawn_again_only_if_something_moves_it(afloat, monkeypatch):
+    """Neither for a note nor for an obstacle beside it, with which the page gets a new scene; but for another wave."""
+    drawn, block = [], live_session.draw_water
+    monkeypatch.setattr(live_session, "draw_water", lambda *given: drawn.append(given[0]) or block(*given))
+    afloat.write_text(afloat.read_text() + '[[world.obstacle]]\nshape = "sphere"\ncentre = [30, 40, 5]\nradius = 2\n')
+
+    async def run():
+        async with served(afloat) as address, browser(address) as page:
+            first = await page.until("water")
+            await page.send(kind="add_note", frame=1010, text="look")
+            await page.until("state", lambda state: len(state["notes"]) == 1 and state["solved"])
+            await page.send(**(moved("place", 30, 41) | {"key": "world.obstacle[0].centre"}))
+            await page.until("scene")
+            assert (await page.until("water")).content == first.content and len(drawn) == 1
+            await page.send(kind="change", key="world.water.wave[0].height", value=0.3)
+            await page.until("scene")
+            assert (await page.until("water")).content != first.content and len(drawn) == 2
+
+    asyncio.run(run())
+
+
 def test_what_is_requested_does_not_wait_for_the_water(afloat, monkeypatch):
-    pouring, block = threading.Event(), live_session.water_block
+    pouring, block = threading.Event(), live_session.draw_water
 
     def slowly(take, stage, progress):
         def told(share):
@@ -275,7 +296,7 @@ def test_what_is_requested_does_not_wait_for_the_water(afloat, monkeypatch):
 
         return block(take, stage, told)
 
-    monkeypatch.setattr(live_session, "water_block", slowly)
+    monkeypatch.setattr(live_session, "draw_water", slowly)
 
     async def run():
         async with served(afloat) as address, browser(address) as page:

@@ -8,9 +8,11 @@ import pytest
 import vehsim
 from vehsim import Mark
 from vehsim.errors import InputError
-from vehsim.lie.quaternions import yaw_of
+from vehsim.lie.quaternions import matrices, yaw_of
 from vehsim.planning.certificates import certify, certify_plane
+from vehsim.planning.constraints.clearance import Dragged
 from vehsim.planning.drafts import UNKNOWNS, draft
+from vehsim.planning.problem.solver_cache import common
 from vehsim.world.obstacles.obstacles import box
 
 CAR = vehsim.load_vehicle("car")
@@ -108,6 +110,41 @@ def test_a_draft_follows_an_obstacle_that_moves(name, height, top):
     assert again.success and np.abs(again.clip().positions - clip.positions).max() < 0.05
     with pytest.raises(InputError, match="tower"):
         now.moved(ends, vehsim.World(obstacles=[box("tower", (60, 0, 0), (8, 8, top))]))
+
+
+@pytest.mark.parametrize(("name", "height", "top"), [("car", 0.0, 4.0), ("helicopter", 15.0, 60.0)])
+def test_a_dragged_obstacle_changes_only_parameters(name, height, top):
+    """The first move builds the problem; then the box is turned and moved, near what is active already."""
+    vehicle = vehsim.load_vehicle(name)
+    ends = [
+        Mark(1001, position=(0, 0, height), heading=0, velocity=(0, 0, 0)),
+        Mark(1241, position=(60, 0, height), heading=0, velocity=(0, 0, 0)),
+    ]
+    other = box("other", (10, 12, 0), (4, 4, top))
+
+    def world(y, heading=0.0):
+        return vehsim.World(obstacles=[box("tower", (30, y, 0), (8, 8, top), heading), other])
+
+    options = {"fps": 24, "segments": 32, "clearance": 1.0}
+    plan = vehsim.plan(vehicle, world(8.0), ends, **options, refine=False)
+    now = draft(vehicle, world(8.0), ends, plan.clip, **options).moved(ends, world(5.0, 45.0))
+    built = dict(now._run.solvers._solvers or common()._solvers)
+    for y, heading in ((4.9, 40.0), (5.0, 30.0), (5.1, 20.0)):
+        now = now.moved(ends, world(y, heading))
+        assert now.success, now.reason
+    assert dict(now._run.solvers._solvers or common()._solvers) == built
+    clip, there = now.clip(), world(5.1, 20.0)
+    assert certify(clip, there) > 0.8 if height else certify_plane(clip, parts(there))[0] > 0.8
+    fresh = draft(vehicle, there, ends, clip, **options)
+    assert fresh.success and np.abs(fresh.clip().positions - clip.positions).max() < 0.05
+
+
+def test_a_moved_and_turned_obstacle_is_recognised():
+    one = Dragged(box("tower", (30, 5, 2), (8, 4, 9)))
+    moved = one.to(box("tower", (33, 7, 1), (8, 4, 9), 30.0))
+    corners = np.vstack(one.obstacle.hulls) @ matrices(moved.orientation[None])[0].T + moved.position
+    assert corners == pytest.approx(np.vstack(box("tower", (33, 7, 1), (8, 4, 9), 30.0).hulls), abs=1e-9)
+    assert one.to(box("tower", (30, 5, 2), (8, 4, 9.01))) is None
 
 
 def test_a_draft_faces_as_its_clip_where_a_plan_chose_the_heading():

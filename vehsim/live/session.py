@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from time import monotonic
@@ -25,15 +26,16 @@ from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, Problem, VehsimError
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.web.scene import (
+    DrawnWater,
     Kinematics,
     compared_block,
     draft_block,
+    draw_water,
     live_block,
     marks_shown,
     motion_block,
     movable,
     scene_block,
-    water_block,
 )
 from vehsim.live.document import Document, write
 from vehsim.live.messages import (
@@ -124,8 +126,10 @@ class Session:
         """Time at which the next iterate is drawn, on the clock of `time.monotonic`, s."""
         self._on_screen: Take | None = None
         """The take whose scene or motion the page shows; one of straight guesses if no solve has succeeded."""
-        self._moving_water: Take | None = None
-        """The take whose moving water the page shows."""
+        self._water: DrawnWater | None = None
+        """The moving water that was drawn last."""
+        self.waits_for_water = False
+        """Whether the page shows the water of the first frame, or of another motion."""
         self._drafts: dict[str, Drawn] = {}
         self._solved_handles: list[Handle] = []
         self._drawn_handles: dict[str, Handle] = {}
@@ -257,29 +261,29 @@ class Session:
         self._drawn_handles = {handle.key: handle for handle in self._solved_handles}
         return scene_block(take, stage)
 
-    @property
-    def waits_for_water(self) -> bool:
-        """Whether the page shows the water of the first frame, or of another motion."""
-        take = self._on_screen
-        return take is not None and take.world.water is not None and take is not self._moving_water
-
     def water(self) -> bytes:
         """How the water moves around what the page shows, which takes longer than all else. Raises `Superseded`."""
-        take, before = self._on_screen, self._moving_water
-        assert take is not None and self._kinematics is not None
-        self._moving_water = take  # also if it fails, which would fail again
+        take, kinematics = self._on_screen, self._kinematics
+        assert take is not None and kinematics is not None
+        self.waits_for_water = False  # also if it fails, which would fail again
         try:
-            return water_block(take, self._kinematics.stage, lambda share: self._progress("drawing the water", share))
+            if self._water is None or not self._water.shows(take, kinematics.stage):
+                draws = partial(self._progress, "drawing the water")
+                self._water = draw_water(take, kinematics.stage, draws)
+            return self._water.block
         except Superseded:
-            self._moving_water = before
+            self.waits_for_water = True
             raise
 
     def _shown(self, take: Take) -> bytes:
         """What makes the page show a take: its motion if the scene stays as it is, else the whole scene."""
-        self._on_screen = take
-        if self._kinematics is not None and self._kinematics.can_show(take):
-            return motion_block(take, self._kinematics)
-        return self.scene()
+        self._on_screen, kinematics = take, self._kinematics
+        if kinematics is None or not kinematics.can_show(take):
+            self.waits_for_water = take.world.water is not None
+            return self.scene()
+        if take.world.water is not None and (self._water is None or not self._water.shows(take, kinematics.stage)):
+            self.waits_for_water = True
+        return motion_block(take, kinematics)
 
     def _preview(self) -> bytes | None:
         """What shows straight guesses from mark to mark; None if there are none."""

@@ -72,7 +72,7 @@ class RunningCosts(Block):
         values |= {_most(name): value for name, value in {**self.limits, **self.control_rates}.items()}
         return values | {PRICE: self.price}
 
-    def resume(self, earlier: RunningCosts) -> RunningCosts:
+    def resume(self, earlier: RunningCosts, solved: Trajectory) -> RunningCosts:
         return replace(self, restrained=earlier.restrained)
 
 

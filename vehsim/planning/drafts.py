@@ -14,7 +14,7 @@ import numpy as np
 
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
-from vehsim.planning.constraints.clearance import cover_for
+from vehsim.planning.constraints.clearance import SphereCover, cover_for, dragged_cover, moved_cover
 from vehsim.planning.guesses.routes import as_clip, find_paths, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.planner import at_marks
@@ -27,7 +27,10 @@ from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import restrain, restrained
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import drawn
+from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
+from vehsim.world.obstacles.obstacles import Obstacle, hulls_of
+from vehsim.world.world import World
 
 UNKNOWNS = 192
 """Largest number of controls of a draft, over all its segments: 96 segments with two controls, 48 with four. Enough for
@@ -73,15 +76,45 @@ class Draft:
         run = Run(request, solvers=self._run.solvers, draft=True)
         with interrupts.remembered():
             if world is not before.world:
-                check_marks_clear(request.vehicle, world, request.marks, request.clearance, request.fps)
-                cover = cover_for(request, self._iterate.paths, run.deadline.watched(None))
-                run = Run(request, draft=True)  # the solvers contain the distances
+                changed = _changed(before.world, world)
+                if any(_reaches(request, obstacle) for obstacle in changed):
+                    check_marks_clear(request.vehicle, world, request.marks, request.clearance, request.fps)
+                cover = self._cover(request, changed, run.deadline.watched(None))
+                earlier = self._iterate.cover
+                if cover is not None and (earlier is None or cover.fields != earlier.fields):  # solvers contain them
+                    run = Run(request, draft=True)
             iterate = solve(run, at_marks(self._iterate, request, cover))
         return Draft(iterate, run)
+
+    def _cover(self, request: Request, changed: Sequence[Any], progress: Progress) -> SphereCover | None:
+        """The cover among obstacles of which some have ``changed``: these are dragged from now on."""
+        if not request.hazards:
+            return None
+        before, names = self._iterate.cover, {obstacle.name for obstacle in changed}
+        if before is not None and names <= before.dragged:
+            moved = moved_cover(before, request.world)
+            if moved is not None:
+                return moved
+        return dragged_cover(request, self._iterate.paths, progress, names)
 
     def clip(self) -> Clip:
         """The motion on whole frames, with wheels on the ground, within a millimetre or two."""
         return drawn(self._iterate, self._iterate.request.world)
+
+
+def _changed(before: World, after: World) -> list[Obstacle]:
+    """The standing obstacles of a world that stand elsewhere, or not at all, in another."""
+    there = {obstacle.name: obstacle.content_hash for obstacle in before.standing}
+    return [obstacle for obstacle in after.standing if there.get(obstacle.name) != obstacle.content_hash]
+
+
+def _reaches(request: Request, obstacle: Obstacle) -> bool:
+    """Whether a vehicle at a mark may be too near to an obstacle: by spheres and boxes around them, which is quick."""
+    points = np.vstack([np.zeros((0, 3)), *hulls_of(request.vehicle)])
+    reach = request.clearance + float(np.linalg.norm(points, axis=1).max(initial=0.0))
+    low, high = np.vstack(obstacle.hulls).min(axis=0) - reach, np.vstack(obstacle.hulls).max(axis=0) + reach
+    places = [np.asarray(mark.position, float) for mark in request.marks if mark.position is not None]
+    return any((low <= place).all() and (place <= high).all() for place in places)
 
 
 def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None, **options: Any) -> Draft:

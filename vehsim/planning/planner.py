@@ -545,7 +545,7 @@ def at_marks(iterate: Iterate, request: Request, cover: SphereCover | None) -> I
     transcription, layout = iterate.transcription, iterate.layout
     blocks = blocks_of(request, transcription, cover)
     if list(map(type, blocks)) == list(map(type, iterate.blocks)):  # otherwise obstacles came into or out of reach
-        blocks = tuple(new.resume(old) for new, old in zip(blocks, iterate.blocks, strict=True))
+        blocks = tuple(new.resume(old, iterate) for new, old in zip(blocks, iterate.blocks, strict=True))
     fixed = fixed_durations(request.marks, request.fps)
     lengths = np.where(np.isnan(fixed), iterate.lengths, fixed / np.array(layout.legs))
     return Iterate(

@@ -46,7 +46,7 @@ def _with(traits: Traits, iterate: Iterate) -> Iterate:
     """A solved iterate as the start of a solve in another character."""
     request = replace(iterate.request, traits=traits)
     fresh = blocks_of(request, iterate.transcription, iterate.cover)
-    blocks = tuple(new.resume(old) for new, old in zip(fresh, iterate.blocks, strict=True))
+    blocks = tuple(new.resume(old, iterate) for new, old in zip(fresh, iterate.blocks, strict=True))
     return replace(iterate, request=request, blocks=blocks, multipliers=None, prolongated=True)
 
 

@@ -223,6 +223,17 @@ def lay_grid(take: Take) -> Grid:
     return _finest(*_box(paths, eyes), cell, count * len(paths))[1]
 
 
+def covers(grid: Grid, take: Take) -> bool:
+    """Whether a grid that was laid for other motion is fine along the paths of a take too."""
+    steps = np.diff(grid.distances)
+    reach = grid.distances[1:][steps < 1.5 * steps[0]].max()
+    for clip in take.clips.values():
+        along, across = np.abs((_on_take(clip, take) - grid.origin) @ grid.axes.T).T
+        if (np.hypot(np.maximum(along - grid.half, 0.0), across) > reach).any():
+            return False
+    return True
+
+
 def _box(paths: list[Array], eyes: list[Array]) -> tuple[Array, Array, Array]:
     """Half sides (2,) m, the longer one first, centre (2,) m and axes (2, 2) of a box around paths and near eyes."""
     path = np.concatenate(paths)

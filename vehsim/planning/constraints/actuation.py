@@ -44,7 +44,7 @@ class Actuation(Block):
     def violated(self, solved: Trajectory) -> Actuation:
         return self if self.active or excess(solved) <= NEAR else replace(self, active=True)
 
-    def resume(self, earlier: Actuation) -> Actuation:
+    def resume(self, earlier: Actuation, solved: Trajectory) -> Actuation:
         return replace(self, active=self.active or earlier.active)
 
     def describe(self, use: Use, occurrence: int, row: int, trajectory: Trajectory) -> str:

@@ -89,8 +89,9 @@ class Block:
         """A tighter block where the finished motion falls short."""
         return self
 
-    def resume(self, earlier: Self) -> Self:
-        """The block at other marks, with the active set that the same block had in an earlier plan."""
+    def resume(self, earlier: Self, solved: Trajectory) -> Self:
+        """The block at other marks, or among obstacles at other places, with the active set that the same block had in
+        an earlier plan, whose motion is ``solved``."""
         return self
 
 

@@ -1,6 +1,7 @@
 """Clearance in flight: spheres around the vehicle's hulls stay out of distance fields of terrain and obstacles.
 
-Everything at rest is one field. Each moving obstacle has a field in its own frame, and its poses are parameters. Near a
+Everything at rest is one field. Each moving obstacle has a field in its own frame, and its poses are parameters; so has
+one at rest that somebody drags. Near a
 landing the requested clearance decreases, see `landing.landing_clearance`. The finished motion is certified with the
 hulls themselves; if it comes too near, the requested clearance is increased. Where no motion is found because spheres
 reach farther than the hulls that they contain, the difference is measured and the problem solved again.
@@ -8,7 +9,7 @@ reach farther than the hulls that they contain, the difference is measured and t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -40,7 +41,7 @@ from vehsim.planning.terms import COSTS, HazardView, KnotView, costs_of, weight_
 from vehsim.planning.trajectory import Trajectory
 from vehsim.runtime.progress import Progress
 from vehsim.world.distance.field import DistanceField, field_about
-from vehsim.world.obstacles.obstacles import Moving
+from vehsim.world.obstacles.obstacles import Moving, Obstacle
 
 Array = NDArray[np.float64]
 
@@ -53,6 +54,10 @@ SLACK = 0.01
 """Tolerance of a certified clearance, m."""
 ROOMY = 0.25
 """How much farther than the spheres the vehicle's surface must be for them to be in the way, m."""
+SAME = 1e-6
+"""Largest difference between two shapes, relative to their size, that counts as none."""
+DRAGGED = 64_000
+"""Largest number of points of the field of an obstacle that is dragged: takes a sixth of a second."""
 MORE = 0.05
 """What a tighter solve adds to the clearance beyond the shortfall, m."""
 
@@ -90,19 +95,52 @@ MIDDLES = Site("middles", ("x", "z", "h"), lambda t, v: middle_view(t, v["x"], v
 """The midpoints of its segments."""
 
 
+@dataclass(frozen=True, eq=False)
+class Dragged:
+    """An obstacle at rest that is moved from solve to solve: ``obstacle`` where its field was measured, and the
+    displacement ``position`` (3,) m and turn ``orientation`` (4,) since then."""
+
+    obstacle: Obstacle
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    orientation: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+
+    @property
+    def name(self) -> str:
+        return self.obstacle.name
+
+    def poses_at(self, seconds: Array) -> tuple[Array, Array]:
+        """Positions (n, 3) m and orientations (n, 4) at ``seconds`` (n,)."""
+        return np.tile(self.position, (len(seconds), 1)), np.tile(self.orientation, (len(seconds), 1))
+
+    def to(self, obstacle: Obstacle) -> Dragged | None:
+        """The same obstacle moved to another; None if that has another shape."""
+        from scipy.spatial.transform import Rotation
+
+        before, after = np.vstack(self.obstacle.hulls), np.vstack(obstacle.hulls)
+        if before.shape != after.shape:
+            return None
+        middle = before.mean(axis=0), after.mean(axis=0)
+        turn, off = Rotation.align_vectors(after - middle[1], before - middle[0])
+        if off > SAME * np.linalg.norm(before - middle[0]):
+            return None
+        return replace(
+            self, position=middle[1] - turn.apply(middle[0]), orientation=np.roll(turn.as_quat(canonical=True), 1)
+        )
+
+
 @dataclass(eq=False)
 class SphereCover:
     """A sphere cover of a vehicle, and the distance fields it keeps clear of.
 
     ``centres`` (k, 3) m and ``radii`` (k,) m of spheres that contain the vehicle; ``static``: the distance field of
-    the static obstacles and the terrain, or None; ``moving``: each moving obstacle with its field; ``elements``: shared
-    by all discretisations.
+    the static obstacles and the terrain, or None; ``moving``: each moving or dragged obstacle with its field;
+    ``elements``: shared by all discretisations.
     """
 
     static: DistanceField | None
     centres: Array
     radii: Array
-    moving: tuple[tuple[Moving, DistanceField], ...] = ()
+    moving: tuple[tuple[Moving | Dragged, DistanceField], ...] = ()
     elements: dict[Any, Element] = field(default_factory=dict)
 
     def hazards(self) -> Iterator[Hazard]:
@@ -111,6 +149,16 @@ class SphereCover:
             yield Hazard("standing", self.static)
         for i, (_, own) in enumerate(self.moving):
             yield Hazard(f"moving[{i}]", own, moves=True)
+
+    @property
+    def dragged(self) -> set[str]:
+        """The names of the obstacles that are dragged."""
+        return {obstacle.name for obstacle, _ in self.moving if isinstance(obstacle, Dragged)}
+
+    @property
+    def fields(self) -> tuple[DistanceField, ...]:
+        """What a built problem contains of it; the poses of obstacles are parameters."""
+        return tuple(hazard.field for hazard in self.hazards())
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +185,8 @@ class Clearance(Block):
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         landed = tuple(mark.on_ground for mark in self.request.marks)
         spare = self.spare is not None
-        return self.cover, self.costs, landed, spare, None if self.near is None else self.near.tobytes()
+        fields = None if self.cover is None else self.cover.fields
+        return fields, self.costs, landed, spare, None if self.near is None else self.near.tobytes()
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         if self.cover is None:
@@ -297,7 +346,7 @@ class Clearance(Block):
         tighter = replace(self, required=self.required + (finding.wanted - finding.clearance) + MORE)
         return tighter if self.spare is None else tighter.of_surface(trajectory)
 
-    def resume(self, earlier: Clearance) -> Clearance:
+    def resume(self, earlier: Clearance, solved: Trajectory) -> Clearance:
         spare = earlier.spare if self.cover is earlier.cover else None
         return replace(self, required=earlier.required, near=earlier.near, spare=spare)
 
@@ -317,12 +366,43 @@ def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> S
     else:
         field = request.world.distance_field(progress, box=near)
         field = None if field is None else field.crop(*room)
-    around = request.clearance + float(radii.max()) + AROUND
     moving = []
     for obstacle in request.world.moving:
         progress(f"measuring distances to {obstacle.name}", 0.0)
-        moving.append((obstacle, field_about(obstacle, around)))
+        moving.append((obstacle, field_about(obstacle.hulls, _around(request))))
     return SphereCover(field, centres, radii, tuple(moving))
+
+
+def dragged_cover(request: Request, paths: Sequence[Array], progress: Progress, names: Container[str]) -> SphereCover:
+    """The cover for a world in which the standing obstacles with these ``names`` are dragged: they have coarse fields
+    of their own, so that only parameters change with their places."""
+    world = request.world
+    rest = [obstacle for obstacle in world.obstacles if obstacle.name not in names]
+    still = replace(request, world=world.with_only(rest))
+    cover = cover_for(still, paths, progress) or SphereCover(None, *sphere_cover(request.vehicle))
+    loose = [Dragged(obstacle) for obstacle in world.standing if obstacle.name in names]
+    own = [(one, field_about(one.obstacle.hulls, _around(request), DRAGGED)) for one in loose]
+    return replace(cover, moving=(*cover.moving, *own))
+
+
+def moved_cover(cover: SphereCover, world: Any) -> SphereCover | None:
+    """A cover with its dragged obstacles where those of the same name are in another ``world``; None if one is not
+    there or has another shape."""
+    there = {obstacle.name: obstacle for obstacle in world.standing}
+    moving: list[tuple[Moving | Dragged, DistanceField]] = []
+    for obstacle, own in cover.moving:
+        if isinstance(obstacle, Dragged):
+            moved = obstacle.to(there[obstacle.name]) if obstacle.name in there else None
+            if moved is None:
+                return None
+            obstacle = moved
+        moving.append((obstacle, own))
+    return replace(cover, moving=tuple(moving))
+
+
+def _around(request: Request) -> float:
+    """How far from an obstacle its own field reaches, m."""
+    return request.clearance + float(sphere_cover(request.vehicle)[1].max()) + AROUND
 
 
 def _touching(i: int) -> str:

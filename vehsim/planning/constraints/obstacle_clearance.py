@@ -234,11 +234,19 @@ class ObstacleClearance(Block):
             beside[part, knots] = 0.0
         return replace(self, extra=extra, active=self.active | (beside[self.owners] > 0))
 
-    def resume(self, earlier: ObstacleClearance) -> ObstacleClearance:
+    def resume(self, earlier: ObstacleClearance, solved: Trajectory) -> ObstacleClearance:
+        """If only the places of obstacles differ, the active set is kept while it contains all that is near: one built
+        problem then serves many places."""
         same = len(self.parts) == len(earlier.parts)
         if same and all(a is b for (a, _), (b, _) in zip(self.parts, earlier.parts, strict=True)):
             return earlier
-        return self if earlier.guess is None else self.near(earlier.guess)
+        poses = poses_of(solved)
+        if self.features != earlier.features:
+            return self.near(poses)
+        block = replace(self, active=earlier.active, extra=earlier.extra, guess=poses)
+        gaps = block._gaps(poses)
+        missing = ~block.active & (gaps < self.clearance + SIGHT / 2)
+        return replace(block, active=np.zeros_like(block.active))._activated(gaps) if missing.any() else block
 
 
 def _place(part: int) -> str:

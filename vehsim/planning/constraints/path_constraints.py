@@ -120,7 +120,7 @@ class PathConstraint(Block):
     def tighten(self, trajectory: Trajectory, finding: Finding) -> PathConstraint:
         return self._activated(trajectory)
 
-    def resume(self, earlier: PathConstraint) -> PathConstraint:
+    def resume(self, earlier: PathConstraint, solved: Trajectory) -> PathConstraint:
         return replace(self, instants=earlier.instants)
 
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:

@@ -24,7 +24,7 @@ from vehsim.runtime.progress import Progress
 from vehsim.world.terrain.terrain import Terrain
 
 if TYPE_CHECKING:
-    from vehsim.world.obstacles.obstacles import Moving, Obstacle
+    from vehsim.world.obstacles.obstacles import Obstacle
 
 Array = NDArray[np.float64]
 
@@ -241,11 +241,14 @@ def distance_field(
     return DistanceField(np.load(io.BytesIO(body), allow_pickle=False), lower, step)
 
 
-def field_about(moving: Moving, reach: float) -> DistanceField:
-    """The distance field around a moving obstacle, in its root's frame, up to ``reach`` m from its hulls."""
-    corners = np.vstack(moving.hulls)
-    box = np.array([corners.min(axis=0) - reach, corners.max(axis=0) + reach])
-    return distance_field(None, box=box, obstacles=[moving.solid])
+def field_about(hulls: Sequence[Array], reach: float, points: int = AMONG) -> DistanceField:
+    """The distance field around convex hulls (k, 3) m, in their frame, up to ``reach`` m from them, of about so many
+    grid ``points``."""
+    corners = np.vstack(hulls)
+    lower, upper = corners.min(axis=0) - reach, corners.max(axis=0) + reach
+    step = max(FINEST, (float(np.prod(upper - lower)) / points) ** (1 / 3))
+    shape = np.maximum(np.ceil((upper - lower) / step).astype(int) + 1, 4)
+    return DistanceField(_measure(_to_hulls(hulls), lower, shape, step, None, "obstacles"), lower, step, open=True)
 
 
 def _bytes_of(array: NDArray[np.float32]) -> bytes:

@@ -136,13 +136,6 @@ class Moving:
         omega, velocity = spatial(motion)
         return times[place], motion.positions[place], velocity[place], omega[place]
 
-    @cached_property
-    def solid(self) -> Obstacle:
-        """The same obstacle with its hulls only, in the rig root's frame."""
-        corners = np.vstack(self.hulls)
-        low, high = float(corners[:, 2].min()), float(corners[:, 2].max())
-        return Obstacle(self.name, (self.outline,), low, high, self.hulls, corners, np.zeros((0, 3), np.int64))
-
     def _times(self, seconds: Array) -> Array:
         """Times of its clip (n,) s at ``seconds`` (n,) since frame 0."""
         first = self.clip.start_frame / float(self.clip.fps)
