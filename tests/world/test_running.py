@@ -56,3 +56,13 @@ def test_planing_pressure_reaches_the_risen_water_and_not_the_sides():
             columns, afloat.mesh.faces, afloat.mesh.bottom, np.array([0.0, 0.0, 1.0]), Lift(planing=0.4)
         )
         assert same[0] is same[1]
+
+
+def test_planing_pressure_has_the_centre_of_wagners():
+    """Its mean over the half width is as given, its centre at 2 / pi of it, and it grows towards the water's edge."""
+    across = np.linspace(0.0, 1.0, 2001)
+    pressure = Lift(rise=WAGNER).peaked(0.3 * (1 - across), np.full_like(across, 0.3))
+    assert np.trapezoid(pressure, across) == pytest.approx(1.0)
+    assert np.trapezoid(pressure * across, across) == pytest.approx(2 / np.pi, rel=1e-6)
+    assert pressure[0] > 0
+    assert np.diff(pressure).min() > 0

@@ -24,6 +24,7 @@ from vehsim.vehicles.definition.base import State
 from vehsim.vehicles.definition.coefficients import LEVEL
 from vehsim.world.water.height_field import MOST, WaterField
 from vehsim.world.water.hull_mesh import (
+    BELOW,
     COLUMNS,
     DEPTH,
     HEAD,
@@ -414,7 +415,8 @@ class Afloat(Environment):
         keel, up_by = self._keel[: len(columns)], columns[:, PLACE] @ up
         deep = columns[:, DEPTH] + up_by - columns[:, 0] * up[0] - keel * up[2]
         down = -float(columns[self._lowest[: len(columns)], THROUGH.stop - 1].mean())
-        columns[:, RISEN] = columns[:, DEPTH] + lift.risen(deep, columns[:, PLACE], keel, columns[:, THROUGH], down)
+        rise = lift.risen(deep, columns[:, PLACE], keel, columns[:, THROUGH], down)
+        columns[:, RISEN], columns[:, BELOW] = columns[:, DEPTH] + rise, deep + rise
         below, sides = faces[bottom], wetted(columns, faces[~bottom])
         return wetted(columns, below) + sides, wetted(columns, below, RISEN) + sides
 
@@ -462,6 +464,8 @@ class Afloat(Environment):
             over, speed = _entering(splashed, lift)
             along = np.sqrt(np.einsum("kqi,kqi->kq", middles[:, :, THROUGH], middles[:, :, THROUGH]))
             load = 0.5 * rho * lift.planing * speed * along * (1 - lift.missing(middles[:, :, 0]))
+            if lift.rise:
+                load *= lift.peaked(middles[:, :, RISEN], middles[:, :, BELOW])
             wrench -= _total(load[:, :, None] * over[:, None], middles)
         return wrench, float(into.sum() / 3), fastest
 

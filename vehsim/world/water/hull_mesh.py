@@ -23,7 +23,7 @@ MAX_FACES = 200_000
 CHECKED_FACES = 20_000
 """Hulls with more faces are not checked for self-intersection, which would take minutes."""
 
-PLACE, DEPTH, THROUGH, HEAD, RISEN, COLUMNS = slice(3), 3, slice(4, 7), 7, 8, 9
+PLACE, DEPTH, THROUGH, HEAD, RISEN, BELOW, COLUMNS = slice(3), 3, slice(4, 7), 7, 8, 9, 10
 """Columns of a floating hull's nodes: place (m) and velocity through the water (m/s) in body axes, depth below the
 surface (m), the depth (m) of still water with the same pressure, and the depth (m) below water that rises along the
 bottom; the number of columns."""

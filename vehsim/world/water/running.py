@@ -48,12 +48,18 @@ class Lift:
         undisturbed surface and at the heights ``keel`` (n,).
 
         Each half of a wedge has its own rise, in proportion to its speed into the water: a drifting or rolling hull has
-        more on one side (at most `UNEVEN` times that of both), so that boats lean into turns. ``through`` (n, 3) m/s,
-        and ``down`` m/s: that of the bottom downwards.
+        more on one side, so that boats lean into turns. ``through`` (n, 3) m/s, and ``down`` m/s: that of the bottom
+        downwards.
         """
         slope = (places[:, 2] - keel) / np.maximum(np.abs(places[:, 1]), 1e-9)
         entering = slope * np.sign(places[:, 1]) * through[:, 1] - through[:, 2]
-        return self.rise * np.maximum(deep, 0.0) * np.clip(entering / max(down, 1e-3), 0.0, UNEVEN)
+        return self.rise * np.maximum(deep, 0.0) * np.maximum(entering / max(down, 1e-3), 0.0)
+
+    def peaked(self, depth: Array, keel: Array) -> Array:
+        """The pressure over its mean across the bottom, at a ``depth`` m below the risen water where the keel is
+        ``keel`` m below it: it grows towards the edge of the water, with the centre of Wagner's pressure."""
+        across = 1 - np.clip(depth / np.maximum(keel, 1e-9), 0.0, 1.0)
+        return np.asarray(1 + PEAKED * (across - 0.5))
 
     def missing(self, x: Array) -> Array:
         """The share of the pressure that is missing at ``x`` m ahead of the body frame's origin."""
@@ -104,8 +110,9 @@ VENTED = 0.5
 """Length of the bottom in front of the transom where pressure is missing, over that of the waterline: our choice."""
 WAGNER = np.pi / 2 - 1
 """Rise of the water along a wedge that moves into it, over the depth of its keel (Wagner 1932)."""
-UNEVEN = 3.0
-"""Largest rise on one side over that of a wedge that does not drift: our choice."""
+PEAKED = 12 * (2 / np.pi - 0.5)
+"""Growth of the pressure from the keel to the edge of the water, over its mean: puts its centre at 2 / pi of the width,
+as Wagner's pressure 1 / sqrt(1 - s^2) does."""
 MOST = 0.3
 """Largest trim at rest, rad."""
 SLOW = 0.4
