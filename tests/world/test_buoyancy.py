@@ -445,6 +445,12 @@ def test_a_cockpit_is_closed_at_the_gunwale():
     assert boat.hull.volume == pytest.approx(6 * 2 * 0.7 + walls, rel=0.01)
 
 
+def test_a_hull_in_other_units_than_its_mass_is_warned_of():
+    points, faces = box(6.0, 2.0, 1.0)
+    with pytest.warns(UserWarning, match="displaces 2.93 of its 1.2e.10 m.3 and hardly touches .* metersPerUnit"):
+        Afloat(floating((1000 * points, faces), 3000.0), World(water=0.0)).floating()
+
+
 def test_a_large_mesh_is_simplified():
     fine = sphere(1.0, 6)
     points = fine[0] * [9.0, 3.0, 2.0]

@@ -61,6 +61,8 @@ FIELD = 1 / 375
 hull's mean draft, in waves as long as the hull or longer; larger in shorter ones, because it averages out."""
 OTHER = 0.1
 """Coefficients are those of another hull if it floats higher or lower by this share of its mean draft."""
+EMPTY = 1e-4
+"""Hulls that displace less of their volume are probably in other units than their mass."""
 PANEL = 1 / 7
 """Longest edge of the panels that determine how waves act on the hull, as a share of its size."""
 PLACES = 9
@@ -110,7 +112,14 @@ class Afloat(Environment):
             mesh = read_hull(rig.asset, rig.root, hull.prim)
         else:
             raise InputError("missing", "name a closed mesh of its asset", key="hull", subject=self.vehicle.name)
-        return repaired(mesh).shifted(self.vehicle.origin)
+        mesh = repaired(mesh).shifted(self.vehicle.origin)
+        if self.rest_volume < EMPTY * mesh.volume:
+            warnings.warn(
+                f"{mesh.name}: displaces {self.rest_volume:.3g} of its {mesh.volume:.3g} m^3 and hardly touches the"
+                " water; check physics.mass and the asset's metersPerUnit",
+                stacklevel=2,
+            )
+        return mesh
 
     @cached_property
     def size(self) -> Array:
