@@ -20,6 +20,8 @@ TOUCH = 1e-12
 """Depths below this count as zero, m."""
 REACH = 1.0
 """Ground closer than this is monitored, m."""
+KEPT = 1000
+"""Planes above windows of the ground that are kept."""
 ASIDE = 1e-6
 """Distance from an edge of the ground at which its two faces are looked up, in cells."""
 
@@ -50,6 +52,8 @@ class Underside:
         ends = [np.unique(np.sort(s.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0) for s in shapes]
         before = np.cumsum([0, *map(len, hulls[:-1])])
         self.edges = np.concatenate([pairs + first for pairs, first in zip(ends, before, strict=True)])
+        self._box = self.corners.min(axis=0), self.corners.max(axis=0)
+        self._planes_above: dict[tuple[int, int, int, int], tuple[float, float, float]] = {}
         self._lengths = np.linalg.norm(np.diff(self.corners[self.edges], axis=1)[:, 0], axis=1)
 
     def on(self, R_wb: Array, position: Array) -> tuple[float, Points | None]:
@@ -57,41 +61,85 @@ class Underside:
         terrain = self.terrain
         corners = self.corners @ R_wb.T + position
         low, high = corners.min(axis=0), corners.max(axis=0)
-        heights = terrain.heights[_window(terrain, low[:2] - REACH, high[:2] + REACH)]
+        window = _window(terrain, low[:2] - REACH, high[:2] + REACH)
+        heights = terrain.heights[window]
         above = float(low[2] - heights.max())
         if above > 0:
             return min(above, REACH), None
-        ground = terrain.height(corners[:, :2])
-        gap = max(float((corners[:, 2] - ground).min()), 0.0)
-        along = [np.abs(np.diff(heights, axis=1 - i)).max(initial=0.0) / terrain.cell[i] for i in range(2)]
-        steepest = float(np.hypot(*along))
-        # the ground between two ends is at most as high as their mean plus a rise at the steepest slope
-        start, end = self.edges.T
-        highest = (ground[start] + ground[end] + steepest * self._lengths) / 2
-        near = np.minimum(corners[start, 2], corners[end, 2]) - highest < gap + TOUCH
-        places, directions, lines = _crossings(terrain, corners[self.edges[near]])
-        depths, deep = ground - corners[:, 2], terrain.height(places[:, :2]) - places[:, 2]
-        gap = -float(max(depths.max(), deep.max(initial=-np.inf)))
-        under, below = depths > TOUCH, deep > TOUCH
-        found = [NOWHERE]
-        if under.any():
-            found.append(_from_faces(terrain, corners[under]))
-        if below.any():
-            found.append(_from_edges(terrain, places[below], directions[below], lines[below], deep[below]))
-        peaks = _peaks(terrain, low - max(gap, 0.0), high)
+        found = self._found(corners, self._above(corners, window) < TOUCH)
+        gap = steepest = 0.0
+        if not found:
+            along = [np.abs(np.diff(heights, axis=1 - i)).max(initial=0.0) / terrain.cell[i] for i in range(2)]
+            steepest = float(np.hypot(*along))
+            gap = self._gap(corners, steepest)
+        peaks = _peaks(terrain, low - gap, high)
+        local = (peaks - position) @ R_wb
+        if found:  # their distance does not matter
+            inside = ((local > self._box[0]) & (local < self._box[1])).all(axis=1)
+            peaks, local = peaks[inside], local[inside]
         if len(peaks):
-            outside = (peaks - position) @ R_wb @ self.planes[:, :3].T + self.planes[:, 3]
+            outside = local @ self.planes[:, :3].T + self.planes[:, 3]
             far = np.maximum.reduceat(outside, [first for first, _ in self._hulls], axis=1)
-            gap = min(gap, float(far.min()))
+            gap = max(min(gap, float(far.min())), 0.0)
             for hull in np.flatnonzero((far < -TOUCH).any(axis=0)):
                 first, last = self._hulls[hull]
                 inside = far[:, hull] < -TOUCH
                 face = first + outside[inside, first:last].argmax(axis=1)
                 found.append(Points(-far[inside, hull], peaks[inside], -self.planes[face, :3] @ R_wb.T))
-        joined = Points(*(np.concatenate([getattr(f, k) for f in found]) for k in ("depths", "places", "normals")))
-        if len(joined.depths):
-            return 0.0, joined
-        return min(max(gap, 0.0) / float(np.hypot(1.0, steepest)), REACH), None  # a neighbouring face may be closer
+        if found:
+            return 0.0, Points(
+                *(np.concatenate([getattr(f, k) for f in found]) for k in ("depths", "places", "normals"))
+            )
+        return min(gap / float(np.hypot(1.0, steepest)), REACH), None  # a neighbouring face may be closer
+
+    def _above(self, corners: Array, window: tuple[slice, slice]) -> Array:
+        """Heights (n,) m of ``corners`` (n, 3) above a plane that no ground in the ``window`` exceeds."""
+        rows, cols = window
+        if (kept := self._planes_above.get((rows.start, rows.stop, cols.start, cols.stop))) is None:
+            if len(self._planes_above) > KEPT:
+                self._planes_above.clear()
+            kept = self._planes_above[rows.start, rows.stop, cols.start, cols.stop] = _plane_above(self.terrain, window)
+        return np.asarray(corners[:, 2] - (corners[:, 0] * kept[0] + corners[:, 1] * kept[1] + kept[2]))
+
+    def _found(self, corners: Array, low: NDArray[np.bool_]) -> list[Points]:
+        """Where ``corners`` (n, 3) and edges sink in; those between corners that are not ``low`` (n,) do not."""
+        terrain, found = self.terrain, []
+        deep = corners[low]
+        depths = terrain.height(deep[:, :2]) - deep[:, 2]
+        if (depths > TOUCH).any():
+            found.append(_from_faces(terrain, deep[depths > TOUCH]))
+        start, end = self.edges.T
+        places, directions, lines = _crossings(terrain, corners[self.edges[low[start] | low[end]]])
+        depths = terrain.height(places[:, :2]) - places[:, 2]
+        below = depths > TOUCH
+        if below.any():
+            found.append(_from_edges(terrain, places[below], directions[below], lines[below], depths[below]))
+        return found
+
+    def _gap(self, corners: Array, steepest: float) -> float:
+        """The least height of ``corners`` (n, 3) and edges, none of which sinks in, above the ground, m."""
+        ground = self.terrain.height(corners[:, :2])
+        gap = max(float((corners[:, 2] - ground).min()), 0.0)
+        # the ground between two ends is at most as high as their mean plus a rise at the steepest slope
+        start, end = self.edges.T
+        highest = (ground[start] + ground[end] + steepest * self._lengths) / 2
+        near = np.minimum(corners[start, 2], corners[end, 2]) - highest < gap + TOUCH
+        places = _crossings(self.terrain, corners[self.edges[near]])[0]
+        return min(gap, float((places[:, 2] - self.terrain.height(places[:, :2])).min(initial=np.inf)))
+
+
+def _plane_above(terrain: Any, window: tuple[slice, slice]) -> tuple[float, float, float]:
+    """Slopes along X and Y, and the height at the origin, of a plane that no ground in the ``window`` exceeds. Beyond
+    the borders the ground is level: there it is as high as the highest."""
+    rows, cols = window
+    heights = terrain.heights[window]
+    size = terrain.heights.shape
+    if rows.start == 0 or cols.start == 0 or rows.stop == size[0] or cols.stop == size[1]:
+        return 0.0, 0.0, float(heights.max())
+    y, x = np.meshgrid(np.arange(rows.start, rows.stop), np.arange(cols.start, cols.stop), indexing="ij")
+    x, y = terrain.origin[0] + terrain.cell[0] * x.ravel(), terrain.origin[1] + terrain.cell[1] * y.ravel()
+    slopes = np.linalg.lstsq(np.column_stack([x, y, np.ones_like(x)]), heights.ravel(), rcond=None)[0][:2]
+    return float(slopes[0]), float(slopes[1]), float((heights.ravel() - x * slopes[0] - y * slopes[1]).max())
 
 
 def _window(terrain: Any, low: Array, high: Array) -> tuple[slice, slice]:
