@@ -281,6 +281,7 @@ def _motion(pack: Packing, take: Take, poses: Array, stage: StageReader) -> dict
         ],
         "paths": list(_paths(pack, clips, stage)),
         "marks": [_placed(mark, -stage.origin) for mark in marks_shown(take)],
+        "unplaced": list(_unplaced(take)),
         "notes": [_placed(note, -stage.origin) for note in take.report.get("shot", {}).get("note", [])],
         "curves": [curve for name, clip in clips.items() for curve in _curves(pack, take, name, clip)],
     }
@@ -523,6 +524,14 @@ def marks_shown(take: Take) -> Iterator[dict[str, Any]]:
                 "heading": float(np.degrees(yaw_of(there.orientations)[0])),
                 "gate": None if mark.get("gate") is None else _opening(Gate(**mark["gate"])).tolist(),
             }
+
+
+def _unplaced(take: Take) -> Iterator[dict[str, Any]]:
+    """The marks with a frame but without a place, such as of a heading only: vehicle, index and frame."""
+    for name, marks in take.report.get("marks", {}).items():
+        for k, mark in enumerate(marks):
+            if mark.get("position") is None and isinstance(mark["frame"], int | float):
+                yield {"vehicle": name, "index": k, "frame": float(mark["frame"])}
 
 
 def _opening(gate: Gate) -> Array:

@@ -228,6 +228,30 @@ def test_a_mark_that_cannot_be_met_is_dragged_to_where_it_can(tmp_path):
     asyncio.run(play())
 
 
+def test_a_mark_without_a_place_has_a_tick_too(tmp_path):
+    """Of a heading only: it is retimed on the timeline and deleted as others are, although it is no handle."""
+    last = SHOT.rindex("[[vehicle.motion.mark]]")
+    path = written(tmp_path, f"{SHOT[:last]}[[vehicle.motion.mark]]\nframe = 1037\nheading = 5\n{SHOT[last:]}")
+    frames = "vehsim.viewer.ticks.map((one) => one.frame).toSorted()"
+
+    async def play():
+        async with opened(path) as page:
+            assert await page.value(frames) == [1001, 1037, 1073]
+            tick, there = await page.value(ON_TRACK % 1037), await page.value(ON_TRACK % 1041)
+            for kind, place in (("Pressed", tick), ("Moved", there), ("Released", there)):
+                await page.mouse(kind, *place)
+            await page.until(f"!document.getElementById('do-undo').disabled && {SOLVED}")
+            frame = await page.value("vehsim.viewer.ticks.at(-1).frame")
+            assert 1039 <= frame <= 1043
+            await page.value(f"vehsim.viewer.seek({frame}); document.getElementById('do-delete').click()")
+            await page.until(f"vehsim.viewer.ticks.length === 2 && {SOLVED}")
+            await page.value("document.getElementById('do-save').click()")
+            await page.until("document.getElementById('do-save').disabled")
+            assert path.read_text() == SHOT
+
+    asyncio.run(play())
+
+
 def test_a_note_is_written_pinned_and_deleted(tmp_path):
     path = written(tmp_path, SHOT)
 

@@ -165,6 +165,7 @@ class Session:
             "solved": self.solved,
             "problems": self.problems,
             "handles": [self._handle_shown(handle) for handle in self.handles],
+            "unplaced": self._unplaced(),
             "notes": self.notes,
             "drives": self.drives(),
             "recordings": [shown for shown, _ in self._recordings().values()],
@@ -194,6 +195,15 @@ class Session:
             "obstacle": None if k is None else name_of(k, file.world.obstacle[k]),
             "follows": [table.name for table in self._following(handle)],
         }
+
+    def _unplaced(self) -> list[dict[str, Any]]:
+        """The marks of the present text with a frame but no place, which have no handle; ``key``: that of the frame."""
+        return [
+            {"vehicle": table.name, "mark": k, "frame": mark.frame, "key": f"vehicle[{at}].motion.mark[{k}].frame"}
+            for at, table in enumerate(self.shot.file.vehicle if self.shot and self.handles else ())
+            for k, mark in enumerate(getattr(table.motion, "mark", None) or ())
+            if mark.position is None and isinstance(mark.frame, int)
+        ]
 
     def _following(self, handle: Handle) -> list[VehicleTable]:
         """The vehicles whose motion follows while a handle is dragged: planned ones with marks of their own."""

@@ -250,7 +250,8 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       this.poses = header.groups.map((group) => array(group.poses));
       this.curves = header.curves.map((curve) => ({ ...curve, values: array(curve.values) }));
       this.drafted = "";
-      this.marks = this.ticks = header.marks;
+      this.marks = header.marks;
+      this.ticks = [...header.marks, ...header.unplaced];
       this.notes = header.notes;
       for (const overlay of [this.overlays.paths, this.overlays.ghosts]) dispose(overlay);
       this.lines = new Map(header.paths.map((path) => [path.name, this._addPath(array(path.points))]));

@@ -23,7 +23,8 @@
   });
 
   const subject = () => vehsim.viewer.follow || vehsim.viewer.vehicles[0];
-  const marks = () => live().state.handles.filter((handle) => handle.mark !== null);
+  /** The marks in the order of the ticks: those with a handle, then those without a place. */
+  const marks = () => [...live().state.handles.filter((handle) => handle.mark !== null), ...live().state.unplaced];
   const here = () => marks()[vehsim.viewer.ticks.findIndex(({ vehicle, frame }) => vehicle === subject() && frame !== null && Math.round(frame) === vehsim.viewer.frame)];
 
   const track = element("track");
@@ -50,7 +51,8 @@
     const { k, frame, tables } = held, handle = marks()[k];
     held = null;
     if (frame === null) vehsim.viewer.seek(vehsim.viewer.ticks[k].frame);
-    else live().send({ kind: "place", tables, key: handle.key, position: handle.place, frame });
+    else if (handle.place) live().send({ kind: "place", tables, key: handle.key, position: handle.place, frame });
+    else live().send({ kind: "change", tables, key: handle.key, value: frame });
     event.stopImmediatePropagation();
   }, true);
 

@@ -175,7 +175,8 @@
     const same = marks.length === viewer.rings.length; // else the motion on the screen has other marks than the file
     const own = same ? others : [...others, ...marks], rings = viewer.setHandles(own);
     viewer.setNotes(state.notes);
-    viewer.setTicks(marks.map(({ vehicle, frame }, k) => ({ vehicle, frame: frame === null && same ? viewer.marks[k].frame : frame })));
+    const placed = marks.map(({ vehicle, frame }, k) => ({ vehicle, frame: frame === null && same ? viewer.marks[k].frame : frame }));
+    viewer.setTicks([...placed, ...state.unplaced.map(({ vehicle, frame }) => ({ vehicle, frame }))]);
     for (const ring of viewer.rings) ring.visible = same;
     grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })) : [];
     grips.push(...own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) })));
