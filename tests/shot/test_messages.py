@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from vehsim import Shot
-from vehsim.errors import ShotError
+from vehsim.errors import ShotError, SolveError
 from vehsim.shot.schema.shot_file import parse, schema
 
 SHOT = tomllib.loads("""
@@ -328,3 +328,23 @@ def test_a_car_in_a_world_with_contact_is_refused_among_obstacles():
     assert problem.key == "vehicle[0].asset" and "it would drive through wall" in problem.message
     data["world"]["obstacle"] = []
     assert not Shot.from_dict(data).check()
+
+
+def test_a_mark_whose_frame_is_free_must_be_reached_before_the_shot_ends():
+    """The motion would be cut off before it; the message names the end that works, which is tried."""
+    ends = [
+        {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [0, 0, 0]},
+        {"frame": "free", "position": [20, 3, 0], "velocity": [0, 0, 0]},
+    ]
+    motion = {"method": "plan", "segments": 16, "character": "brisk", "mark": ends}
+    header = {"schema": 1, "name": "late", "end_frame": 1030, "handles": 4}
+    data = {"shot": header, "vehicle": [{"name": "one", "asset": "car", "motion": motion}]}
+    with pytest.raises(
+        SolveError, match=r"shot.end_frame = 1030: one reaches mark\[1\] only at frame \d+; use"
+    ) as late:
+        Shot.from_dict(data).solve()
+    ((key, needed),) = late.value.problem.fixes
+    assert key == "shot.end_frame"
+    header["end_frame"] = needed
+    take = Shot.from_dict(data).solve()
+    assert take.frames == (997, needed + 4) and take.clips["one"].end_frame == needed + 4
