@@ -214,6 +214,17 @@ def test_a_vehicle_may_have_no_joints_and_no_controls():
         ({"lagrangian": lambda r, u, xi: xi}, r"lagrangian: gives shape \(3, 1\); give \(1,\)"),
         ({"lagrangian": lambda r, u, xi: ca.dot(xi, xi) + xi[1] ** 4}, "lagrangian: not quadratic in the velocities"),
         ({"lagrangian": lambda r, u, xi: ca.sqrt(1 + ca.dot(xi, xi))}, "lagrangian: not quadratic in the velocities"),
+        (
+            {"lagrangian": lambda r, u, xi: ca.dot(xi, xi) * ca.if_else(xi[1] > 50, 2, 1)},
+            "lagrangian: not quadratic in the velocities",
+        ),
+        ({"lagrangian": lambda r, u, xi: ca.dot(xi, xi) * float("nan")}, "lagrangian: not finite at joints"),
+        ({"lagrangian": lambda r, u, xi: ca.dot(xi, xi) * ca.SX.sym("m")}, "lagrangian: depends on m, which"),
+        ({"lagrangian": lambda r, u, xi: xi[4]}, r"lagrangian: cannot be evaluated: .*shapes \(0,\), \(0,\), \(3,\)"),
+        ({"constraints": lambda r: (ca.SX(1, 0), [[0, ca.SX.sym("k"), 1]])}, "constraints: depends on k"),
+        ({"constraints": lambda r: (ca.SX(1, 0), [[0, float("inf"), 1]])}, "constraints: .* not finite"),
+        ({"forces": lambda r, u, xi, c: ([], [0, 0, c[2]])}, "forces: cannot be evaluated: .*out of bounds"),
+        ({"forces": lambda r, u, xi, c: ([], [0, 0, ca.SX.sym("k")])}, "forces: depends on k"),
     ],
 )
 def test_a_vehicle_that_cannot_move_is_refused_when_it_is_made(changed, message):
@@ -247,18 +258,38 @@ def cart_with_driven_rear_steering():
     )
 
 
+def cart_with_driven_boom():
+    """A cart that cannot slip sideways, with a boom that is turned by its rate, and air that slows both."""
+
+    def lagrangian(r, u, xi):
+        tip = ca.vertcat(xi[1], xi[2]) + 0.4 * (xi[0] + u[0]) * ca.vertcat(-ca.sin(r[0]), ca.cos(r[0]))
+        return (12 * (xi[1] ** 2 + xi[2] ** 2) + 1.3 * xi[0] ** 2 + 0.8 * ca.sumsqr(tip)) / 2
+
+    return Nonholonomic(
+        name="crane",
+        group=SE2,
+        joints=("boom",),
+        lagrangian=lagrangian,
+        constraints=lambda r: ([[0]], [[0, 0, 1]]),
+        forces=lambda r, u, xi, c: ([0], [-0.3 * xi[0], -0.5 * xi[1], 0]),
+        controls=(Control("rate"),),
+        rate_controls={"rate": "boom"},
+    )
+
+
 @pytest.mark.parametrize(
     ("vehicle", "twist", "law"),
     [
         (vehsim.load_vehicle("hopper"), (0.1, 0.3, 0.2, 1.0, 0.0, 2.0), lambda t: [2 * np.sin(3 * t), np.cos(2 * t)]),
         (cart_with_driven_rear_steering(), (0.0, 2.0, 0.0), lambda t: [1.2 * np.cos(3 * t)]),
+        (cart_with_driven_boom(), (0.3, 1.0, 0.0), lambda t: [2 * np.sin(3 * t)]),
     ],
     ids=lambda x: getattr(x, "name", ""),
 )
 @pytest.mark.parametrize(("order", "corners", "rate"), [(2, False, 2), (4, False, 4), (4, True, 3)])
 def test_the_ledger_counts_the_work_of_drives(vehicle, twist, law, order, corners, rate):
-    """Kinetic and potential energy change by the drives' work alone, to the step's order; where the rates of joints
-    have corners, to third order."""
+    """Kinetic and potential energy change by the drives' work and by damping alone, to the step's order; where the
+    rates of joints have corners, to third order."""
     imbalances = []
     for count in (40, 80):
         t = np.linspace(0, 2, count + 1)
@@ -267,7 +298,8 @@ def test_the_ledger_counts_the_work_of_drives(vehicle, twist, law, order, corner
             coarse = np.linspace(0, 2, 11)
             controls = np.column_stack([np.interp(t, coarse, rate) for rate in law(coarse)])
         energy = Integrator(vehicle, 2 / count, order=order).rollout(State(twist=twist), controls).energy
-        imbalances.append(np.ptp(energy["kinetic"] + energy["potential"] - energy["work"]))
+        kept = energy["kinetic"] + energy["potential"] + energy["dissipated"]
+        imbalances.append(np.ptp(kept - energy["work"]))
     assert imbalances[1] < 0.02 * np.ptp(energy["work"])
     assert np.log2(imbalances[0] / imbalances[1]) > rate - 0.3, imbalances
 

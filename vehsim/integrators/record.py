@@ -54,7 +54,7 @@ def build_clips(
     potential - work + dissipated`` stays constant up to the integrator's error, of order 2 or 4.
     """
     vehicle, (m, n) = mechanics.vehicle, phases.shape[:2]
-    function = keep(mechanics, "record", lambda: _record(mechanics))
+    function, steered = keep(mechanics, "record", lambda: _record(mechanics))
     kernel = keep(mechanics, f"record {compiled}", lambda: Kernel(function, compiled))
     rows = np.empty((m, n, function.size1_out(0)))
     times = np.asarray(times, float)
@@ -65,14 +65,13 @@ def build_clips(
     rates = [name for name, channel in vehicle.channels.items() if channel.rate is not None]
     s, d, drives = len(vehicle.joints), vehicle.group.dim, [control for _, control in vehicle.driven]
     count = 2 + len(rates) + len(drives)
-    widths = [3, 4, d, s, s, 2, count, len(vehicle.channels) - len(rates), (1 + len(drives)) * controls.shape[2]]
+    widths = [3, 4, d, s, s, 2, count, len(vehicle.channels) - len(rates), len(steered) * controls.shape[2]]
     powers, gradients = (np.split(rows, np.cumsum(widths[:-1]), axis=2)[k].transpose(1, 0, 2) for k in (6, 8))
     rule = _rule(times)
     parts = _integrals(rule, powers)
-    by_controls = [0, *range(count - len(drives), count)]
-    parts[:, :, by_controls] += _corrections(
-        rule, times, gradients.reshape(n, m, len(by_controls), -1), controls.transpose(1, 0, 2)
-    )
+    if steered:
+        by_power = gradients.reshape(n, m, len(steered), -1)
+        parts[:, :, steered] += _corrections(rule, times, by_power, controls.transpose(1, 0, 2))
     # power that grows with the controls' rate jumps at the knots, where their slope does: integrate it by segments
     slopes = np.diff(controls[:, :, drives], axis=1).transpose(1, 0, 2) / np.diff(times)[:, None, None]
     parts[:, :, 0] += np.sum(slopes * parts[:, :, count - len(drives) :], axis=2)
@@ -110,12 +109,12 @@ def build_clips(
     return clips
 
 
-def _record(mechanics: DiscreteMechanics) -> ca.Function:
-    """``(x, t, c, wind) -> row`` with ``x = (g, r, pi, z)``.
+def _record(mechanics: DiscreteMechanics) -> tuple[ca.Function, list[int]]:
+    """``(x, t, c, wind) -> row`` with ``x = (g, r, pi, z)``, and which of its powers depend on the controls.
 
-    A row: pose (7,), twist (d,), joints, their rates, kinetic and potential energy; power supplied and dissipated; the
-    channels given by rates; the drives' power per rate of their controls; the channels given by values; the gradients
-    by the controls of the power supplied and of each power per rate.
+    A row: pose (7,), twist (d,), joints, their rates, kinetic and potential energy; the powers: supplied and
+    dissipated, the channels given by rates, the drives' power per rate of their controls; the channels given by values;
+    the gradients by the controls of those powers that depend on them.
     """
     v, y = mechanics.vehicle, mechanics.symbols
     g, r, pi, c, wind, t = y["g"], y["r"], y["pi"], y["c0"], y["wind"], ca.SX.sym("t")
@@ -128,10 +127,12 @@ def _record(mechanics: DiscreteMechanics) -> ca.Function:
     given = (t, r, u, v.group.velocity_to_body(g, xi), c)
     rates = [ca.SX(channel.rate(*given)) for channel in laws if channel.rate is not None]
     values = [ca.SX(channel.value(*given)) for channel in laws if channel.rate is None and channel.value is not None]
-    gradients = ca.vec(ca.densify(ca.jacobian(ca.vertcat(work, jumps), c).T))
-    powers = (work, lost, *rates, jumps)
-    row = ca.vertcat(*mechanics.root_state(g, r, pi, c), *energy(v, g, r, u, xi), *powers, *values, gradients)
-    return ca.Function("record", [ca.vertcat(g, r, pi, y["z"]), t, c, wind], ca.cse([ca.densify(row)]))
+    powers = ca.vertcat(work, lost, *rates, jumps)
+    slopes = ca.jacobian(powers, c)
+    steered = sorted(set(slopes.sparsity().row()))
+    gradients = ca.vec(ca.densify(slopes[steered, :].T))
+    row = ca.vertcat(*mechanics.root_state(g, r, pi, c), *energy(v, g, r, u, xi), powers, *values, gradients)
+    return ca.Function("record", [ca.vertcat(g, r, pi, y["z"]), t, c, wind], ca.cse([ca.densify(row)])), steered
 
 
 Rule = tuple[NDArray[np.intp], Array]

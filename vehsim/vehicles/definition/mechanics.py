@@ -67,14 +67,49 @@ def symbols(vehicle: Definition) -> tuple[Expr, ...]:
 
 
 def law(vehicle: Definition, key: str, size: int, evaluate: Callable[..., Any], *given: Expr) -> Expr:
-    """The column (size,) that a vehicle's law gives. Raises ``InputError`` naming the law if it gives another shape."""
+    """The column (size,) that a vehicle's law gives. Raises ``InputError`` naming the law if it gives another shape, or
+    symbols that are none of its arguments."""
+    return column(vehicle, key, size, answered(vehicle, key, evaluate, *given), *given)
+
+
+def column(vehicle: Definition, key: str, size: int, answer: Any, *given: Expr) -> Expr:
+    """What a law, or a part of it, returned for ``given``, as a column (size,); errors as of `law`."""
     try:
-        made = stacked(evaluate(*given))
+        made = stacked(answer)
     except CASADI_ERRORS as error:
         raise InputError("gives no expression", f"give ({size},)", key=key, subject=vehicle.name) from error
     if made.shape != (size, 1):
         raise InputError(f"gives shape {made.shape}", f"give ({size},)", key=key, subject=vehicle.name)
+    closed(vehicle, key, made, *given)
     return made
+
+
+def answered(vehicle: Definition, key: str, evaluate: Callable[..., Any], *given: Expr) -> Any:
+    """What a vehicle's law returns. Raises ``InputError`` naming the law if it cannot be evaluated."""
+    try:
+        return evaluate(*given)
+    except CASADI_ERRORS as error:
+        told = str(error).strip().splitlines() or [type(error).__name__]
+        sizes = ", ".join(f"({expression.shape[0]},)" for expression in given)
+        raise InputError(
+            f"cannot be evaluated: {told[-1]}", f"its arguments have shapes {sizes}", key=key, subject=vehicle.name
+        ) from error
+
+
+def closed(vehicle: Definition, key: str, made: Expr, *given: Expr) -> None:
+    """Raise ``InputError`` naming the law if ``made`` has symbols that ``given`` has not, or numbers that are not
+    finite."""
+    made = ca.SX(made)
+    known = {symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*map(ca.vec, given)))}
+    if free := [str(symbol) for symbol in ca.symvar(made) if symbol.element_hash() not in known]:
+        raise InputError(
+            f"depends on {', '.join(free)}, which it is not given",
+            "use its arguments, and numbers in place of other symbols",
+            key=key,
+            subject=vehicle.name,
+        )
+    if made.is_constant() and not made.is_regular():
+        raise InputError("contains numbers that are not finite", "give finite ones", key=key, subject=vehicle.name)
 
 
 def rows(column: Expr, indices: Sequence[int]) -> Expr:

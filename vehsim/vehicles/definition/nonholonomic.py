@@ -16,8 +16,20 @@ import numpy as np
 from vehsim.errors import InputError
 from vehsim.lie.once import built_once
 from vehsim.vehicles.definition.base import Expr
-from vehsim.vehicles.definition.mechanics import CASADI_ERRORS, free_velocity, law, matrix, stacked, symbols
+from vehsim.vehicles.definition.mechanics import (
+    CASADI_ERRORS,
+    answered,
+    closed,
+    column,
+    free_velocity,
+    law,
+    matrix,
+    symbols,
+)
 from vehsim.vehicles.definition.vehicle import Vehicle
+
+SPEEDS = 10.0 ** np.arange(-1, 5)
+"""Factors on random velocities, rad/s and m/s, at which a Lagrangian must be quadratic."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,6 +112,8 @@ class Nonholonomic(Vehicle):
                 key="constraints",
                 subject=self.name,
             ) from error
+        for w in (w_r, w_xi):
+            closed(self, "constraints", w, r)
         if w_r.shape[0] != w_xi.shape[0] or w_r.shape[1] != s or w_xi.shape[1] != d:
             raise InputError(
                 f"W_r has shape {w_r.shape} and W_xi {w_xi.shape}",
@@ -123,8 +137,8 @@ class Nonholonomic(Vehicle):
         pivots = self.pivots or ()
         free = [i for i in range(columns) if i not in pivots]
         basis = ca.SX(columns, len(free))
-        for column, i in enumerate(free):
-            basis[i, column] = 1
+        for place, i in enumerate(free):
+            basis[i, place] = 1
         if pivots and free:
             basis[list(pivots), :] = -ca.solve(w[:, list(pivots)], w[:, free])
         return basis
@@ -160,9 +174,10 @@ class Nonholonomic(Vehicle):
         s, d = len(self.joints), self.group.dim
         if self.forces is None:
             return ca.SX(s, 1), ca.SX(d, 1)
-        given = self.forces(r, u, self.group.velocity_to_body(g, xi), c)
+        known = r, u, self.group.velocity_to_body(g, xi), c
+        given = answered(self, "forces", self.forces, *known)
         joint, body = given if isinstance(given, tuple) and len(given) == 2 else (given, ca.SX(d, 1))
-        on_joints, on_body = law(self, "forces", s, stacked, joint), law(self, "forces", d, stacked, body)
+        on_joints, on_body = (column(self, "forces", size, part, *known) for size, part in ((s, joint), (d, body)))
         return on_joints, self.group.wrench_from_body(g, on_body)
 
     def potential(self, g: Expr, r: Expr) -> Expr:
@@ -267,13 +282,16 @@ def _check_laws(vehicle: Nonholonomic) -> None:
     g, r, u, xi, c, wind = symbols(vehicle)
     vehicle._constraints(r)
     vehicle.force(g, r, u, xi, c, wind)
-    lagrangian = law(vehicle, "lagrangian", 1, vehicle.reduced_lagrangian, r, u, xi)
+    lagrangian = law(vehicle, "lagrangian", 1, vehicle.lagrangian, r, u, xi)
     velocities = ca.vertcat(u, xi)
     mass = ca.hessian(lagrangian, velocities)[0]
-    if ca.depends_on(mass, velocities):
-        values = ca.Function("mass", [r, velocities], [ca.densify(mass)])
-        for row in np.random.default_rng(0).normal(size=(4, 2 * s + d)):
-            still, moving = np.array(values(row[:s], 1e-3)), np.array(values(row[:s], row[s:]))
+    if not ca.depends_on(mass, velocities):
+        return
+    values = ca.Function("mass", [r, velocities], [ca.densify(mass)])
+    for row in np.random.default_rng(0).normal(size=(4, 2 * s + d)):
+        still = np.array(values(row[:s], 1e-3))
+        for speed in SPEEDS:  # a law may change at any of them
+            moving = np.array(values(row[:s], speed * row[s:]))
             if not np.allclose(moving, still, rtol=1e-9, atol=1e-9 * np.abs(moving).max()):
                 raise InputError(
                     "not quadratic in the velocities",
@@ -289,6 +307,13 @@ def _check_definite(vehicle: Nonholonomic, sample: np.ndarray) -> None:
     u, xi = free_velocity(vehicle, r, z, ca.SX(s, 1))
     hessian = ca.hessian(vehicle.reduced_lagrangian(r, u, xi), z)[0]
     value = np.array(ca.Function("m", [r, z], [ca.densify(hessian)])(sample, 0)).reshape(z.shape[0], z.shape[0])
+    if not np.isfinite(value).all():
+        raise InputError(
+            f"not finite at joints = {sample.tolist()}",
+            "give finite numbers, or a `sample` of the joints where it is finite",
+            key="lagrangian",
+            subject=vehicle.name,
+        )
     eigenvalues = np.linalg.eigvalsh((value + value.T) / 2) if value.size else np.ones(1)
     if eigenvalues.min() <= 1e-12 * max(1.0, eigenvalues.max()):
         raise InputError(
