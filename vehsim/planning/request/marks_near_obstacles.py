@@ -38,6 +38,8 @@ ROOM = 0.25
 """Distance beyond the clearance of a place that it finds, m, so that there is a way to it."""
 FARTHEST = 50.0
 """How far it looks, m."""
+SPARSE = 15
+"""In the open, every so many of these headings are enough."""
 _HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
 
 
@@ -214,7 +216,7 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None, wante
         return _Nearest(float(gaps.min()), obstacles[int(gaps.argmin())]) if gaps.min(initial=np.inf) <= 0 else None
     points, found = np.vstack(hulls_of(vehicle)) if vehicle.rig else np.zeros((1, 3)), None
     turned = rests and nose is None
-    headings, width = (_HEADINGS, 2 * np.pi / TURNS) if turned else (np.array([nose or 0.0]), 0.0)
+    headings, width = (_HEADINGS[::SPARSE], 2 * np.pi / TURNS * SPARSE) if turned else (np.array([nose or 0.0]), 0.0)
     reach, sideways = (float(np.linalg.norm(points[:, :n], axis=1).max()) for n in (3, 2))
     while True:
         in_balance = mark.orientation is None and rests
@@ -227,6 +229,9 @@ def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None, wante
         if found is None or least[best] > found.gap:
             found = _Nearest(float(least[best]), obstacles[int(gaps[best].argmin())], turned)
         hopeful = least + spare >= wanted
+        if turned and found.gap < wanted and width > 2 * np.pi / TURNS:
+            headings, width = _HEADINGS, 2 * np.pi / TURNS
+            continue
         if not hopeful.any() or found.gap >= wanted or spare < FINE or not turned:
             return replace(found, spare=spare if hopeful.any() else 0.0)
         headings = (headings[hopeful, None] + width * np.array([-3, -1, 1, 3]) / 8).ravel()
