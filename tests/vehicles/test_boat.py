@@ -230,8 +230,8 @@ def test_a_broken_hull_is_reported_before_simulating(tmp_path):
     assert re.search(r"boat.usdc: hull/hull_deck: not a hull: open: \d+ edges", str(found[0]))
 
 
-def test_a_boat_without_resistance_warns(tmp_path):
-    """The warning's own numbers fix it: dropped from a metre it is at rest on its waterline 15 s later."""
+def test_a_boat_without_resistance_has_the_usual_one(tmp_path):
+    """Dropped from a metre it is at rest on its waterline 15 s later, with a warning; or none if so given."""
     folder = tmp_path / "boat"
     shutil.copytree(BOAT.rig.asset.parent, folder)
     toml = folder / "vehicle.toml"
@@ -239,12 +239,11 @@ def test_a_boat_without_resistance_warns(tmp_path):
     laws += "|wetted_area|deadrise|running_centre|running_radius"
     bare = re.sub(rf"^({laws}) = .*\n", "", toml.read_text(), flags=re.MULTILINE)
     toml.write_text(bare)
-    with pytest.warns(UserWarning, match=r"physics.damping: missing: .* damping = \[84.8, 509, 1.7e\+03\]") as caught:
-        vehsim.load_vehicle(folder)
-    usual = str(caught[0].message).split("begin with ")[1].replace("], ", "]\n").replace(", impact", "\nimpact")
-    (tmp_path / "fixed").mkdir()
-    shutil.copy(BOAT.rig.asset, tmp_path / "fixed")
-    (tmp_path / "fixed" / "vehicle.toml").write_text(bare.replace("[physics]", f"[physics]\n{usual}"))
-    fixed = vehsim.load_vehicle(tmp_path / "fixed")
-    clip = vehsim.simulate(fixed, World(water=0.0), start=State(position=(0, 0, 1.0)), duration=15.0, step=1 / 24)
+    with pytest.warns(UserWarning, match=r"physics.damping: missing: .* damping = \[84.8, 509, 1.7e\+03\]"):
+        usual = vehsim.load_vehicle(folder)
+    assert usual.hull.damping == pytest.approx([84.8, 508.8, 1696.0])
+    assert usual.hull.added_mass == pytest.approx([165.5, 3837.6, 2350.0, 101.76, 1017.6, 1696.0])
+    with pytest.warns(UserWarning, match="none: without it a boat never comes to rest"):
+        assert not np.any(vehsim.load_vehicle(folder, {"damping": [0.0, 0.0, 0.0]}).hull.added_mass)
+    clip = vehsim.simulate(usual, World(water=0.0), start=State(position=(0, 0, 1.0)), duration=15.0, step=1 / 24)
     assert np.abs(clip.positions[-1, 2]) < 0.02 and np.abs(clip.twists[-1]).max() < 0.05

@@ -69,6 +69,10 @@ DAMPING = np.array([0.05, 0.3, 1.0])
 """Usual damping of a hull divided by its mass, along body X, Y, Z, 1/s."""
 ADDED_MASS = np.array([0.25, 0.9, 0.5, 0.06, 0.6, 1.0])
 """Usual added mass of a hull divided by its own inertia: roll, pitch, yaw, surge, sway, heave."""
+IMPACT = 1.0
+"""Usual pressure where a hull meets the water, over its dynamic pressure."""
+SHORT: Any = {"float": "{:.3g}".format}
+"""How messages give numbers."""
 
 
 def available() -> list[str]:
@@ -164,6 +168,8 @@ def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
     except InputError as error:
         raise InputError.of(*(replace(each, file=str(path)) for each in error.problems)) from None
     coefficients, physics = _coefficients(path, data, physics)
+    if coefficients is None:
+        physics = _with_usual_damping(path, factory, data, physics)
     try:
         vehicle: Vehicle = factory(str(data.get("name", model)), **physics)
     except InputError:
@@ -297,19 +303,32 @@ def _hull(path: Path, vehicle: Vehicle, data: dict[str, Any], coefficients: Coef
         return None
     laws = (vehicle.hull.damping, vehicle.hull.quadratic, vehicle.hull.impact)
     if (coefficients is None or coefficients.memory is None) and not any(np.any(law) for law in laws):
-        _warn_restless(path, vehicle)
+        warnings.warn(
+            f"{path}: physics.damping: none: without it a boat never comes to rest; give damping, or compute it with "
+            "vehsim hydro (pip install 'vehsim[hydro]')",
+            stacklevel=4,
+        )
     return replace(vehicle.hull, prim=prim, coefficients=coefficients)
 
 
-def _warn_restless(path: Path, vehicle: Any) -> None:
-    """Suggest usual damping and added mass for a hull without damping, from its mass and inertia."""
-    usual = {"damping": DAMPING * vehicle.mass, "added_mass": ADDED_MASS * np.diag(vehicle.inertia)}
-    remedy = ", ".join(f"{key} = [{', '.join(f'{x:.3g}' for x in row)}]" for key, row in usual.items())
+def _with_usual_damping(path: Path, factory: Any, data: dict[str, Any], physics: dict[str, Any]) -> dict[str, Any]:
+    """``[physics]`` with `DAMPING` and `ADDED_MASS` if its hull says nothing about damping; warns of it. The resistance
+    ahead of a hull with a form is that of the form."""
+    laws = ("damping", "damping_quadratic", "impact")
+    known = inspect.signature(factory).parameters
+    if "hull" not in data or not {*laws, "mass", "inertia"} <= set(known) or any(law in physics for law in laws):
+        return physics
+    mass, ahead = float(physics["mass"]), np.array(["hull_form" not in data, 1.0, 1.0])
+    own = np.append(np.asarray(physics["inertia"], float), 3 * [mass])
+    usual = {"damping": ahead * DAMPING * mass, "added_mass": ADDED_MASS * own, "impact": np.array(IMPACT)}
+    used = {name: _as_data(value.round(6)) for name, value in usual.items() if name not in physics}
+    said = ", ".join(f"{name} = {np.array2string(usual[name], separator=', ', formatter=SHORT)}" for name in used)
     warnings.warn(
-        f"{path}: physics.damping: missing: without it a boat never comes to rest; compute it with vehsim hydro "
-        f"(pip install 'vehsim[hydro]'), or begin with {remedy}, impact = 1",
-        stacklevel=5,
+        f"{path}: physics.damping: missing: usual values for its mass and inertia are used, {said}; better ones come "
+        "from vehsim hydro (pip install 'vehsim[hydro]')",
+        stacklevel=4,
     )
+    return {**physics, **used}
 
 
 def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
