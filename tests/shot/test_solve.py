@@ -271,6 +271,22 @@ def test_a_note_after_the_last_frame_warns(small: dict[str, Any]) -> None:
     assert texts == ["note[1].frame = 1014: after the last frame, 1013, so it is not shown; move it"]
 
 
+def test_cuts_outside_the_shot_are_not_shown(small: dict[str, Any]) -> None:
+    """The last frame is known only after solving; the first cut that counts is the last one before the shot."""
+    small["camera"] = [
+        {"name": name, "rig": "static", "position": [0, -9, 3], "look_at": [x, 0, 0]}
+        for name, x in (("a", 0.0), ("b", 1.0), ("c", 2.0), ("d", 3.0))
+    ]
+    frames = (990, 995, 1005, 1400)
+    small["cut"] = [{"frame": at, "camera": name} for at, name in zip(frames, "abcd", strict=True)]
+    with pytest.warns(UserWarning, match=r"cut\[3\].frame = 1400: after the last frame, 1013, so it is not shown"):
+        take = Shot.from_dict(small).solve()
+    assert take.cuts == ((995, "b"), (1005, "c"))
+    cut = take.cameras[-1]
+    assert cut.orientations[0] == pytest.approx(take.cameras[1].orientations[0])
+    assert cut.orientations[-1] == pytest.approx(take.cameras[2].orientations[0])
+
+
 def test_two_vehicles_of_one_model_are_told_apart(tmp_path: Path) -> None:
     """Warnings and errors about a motion have the name that the shot gives its vehicle."""
     np.savez(tmp_path / "high.npz", heights=np.full((41, 41), 2.0), origin=(-20.0, -20.0), cell=(1.0, 1.0))

@@ -61,6 +61,13 @@ def cut(name: str, cameras: Mapping[str, Camera], cuts: Sequence[tuple[float, st
     return Camera(name, frames, positions, continuous(orientations), lens, first.aperture_mm, first.clip_range)
 
 
+def within(cuts: Sequence[tuple[int, str]], first: int, last: int) -> tuple[tuple[int, str], ...]:
+    """The cuts that a shot from frame ``first`` to ``last`` shows: it begins with the camera of the last one before."""
+    begun = [one for one in cuts if one[0] <= last] or list(cuts[:1])
+    before = sum(frame <= first for frame, _ in begun)
+    return tuple(begun[max(0, before - 1) :])
+
+
 def _between(camera: Camera, frames: Array) -> tuple[Array, Array]:
     """Positions and orientations of a camera at any ``frames`` within its own."""
     from scipy.spatial.transform import Rotation, Slerp

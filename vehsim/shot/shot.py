@@ -187,6 +187,7 @@ class Shot:
         ``checked``: the shot was checked before, and none of its inputs has changed since. ``cached``: take motion from
         the cache if it was solved on this machine for the same vehicles, world and marks.
         """
+        from vehsim.cameras.cuts import within
         from vehsim.delivery.take import Take
 
         errors = [] if checked else [problem for problem in self.check() if problem.severity == "error"]
@@ -209,7 +210,7 @@ class Shot:
         clips = {name: self._placed(name, clip) for name, clip in clips.items()}
         self._warn_off_ground(clips)
         self._check_rock(clips)
-        self._warn_of_late_notes(frames[1])
+        self._warn_of_what_is_late(frames[1])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a motion that is cut off does not brake; of the rest, all is said
             clips = {name: self._placed(name, hold(clip, *frames)) for name, clip in clips.items()}
@@ -225,7 +226,7 @@ class Shot:
             render=self.render,
             usd=self.usd,
             blockings=self.blockings(),
-            cuts=self.cuts,
+            cuts=within(self.cuts, *frames),
             recalled=recalled,
             report={
                 "shot": self.file.model_dump(mode="json", by_alias=True, exclude_unset=True),
@@ -545,12 +546,15 @@ class Shot:
         details = {name: {"targets": pilot.targets(clips[name].duration)} for name, pilot in pilots.items()}
         return {name: (clip, details.get(name, {})) for name, clip in clips.items()}
 
-    def _warn_of_late_notes(self, last: int) -> None:
-        """Warn of notes that no frame shows."""
-        for i, note in enumerate(self.file.note):
-            if note.frame > last:
+    def _warn_of_what_is_late(self, last: int) -> None:
+        """Warn of notes and cuts that no frame shows."""
+        at = {f"note[{i}].frame": note.frame for i, note in enumerate(self.file.note)}
+        edited = self.file.render.cuts is not None
+        at |= {"render.cuts" if edited else f"cut[{i}].frame": frame for i, (frame, _) in enumerate(self.cuts)}
+        for key, frame in at.items():
+            if frame > last:
                 message = f"after the last frame, {last}, so it is not shown"
-                warnings.warn(Caution(Problem(f"note[{i}].frame", message, "move it", note.frame)), stacklevel=3)
+                warnings.warn(Caution(Problem(key, message, "move it", frame)), stacklevel=3)
 
     def _warn_off_ground(self, clips: Mapping[str, Clip]) -> None:
         """Warn of a vehicle in the plane without wheels where the ground rises or falls below it."""
@@ -618,7 +622,7 @@ class Shot:
     def cameras(self, clips: Mapping[str, Clip], frames: tuple[int, int]) -> tuple[Camera, ...]:
         """The cameras on whole ``frames`` (first, last) for solved ``clips``."""
         from vehsim.cameras.camera import CameraRig
-        from vehsim.cameras.cuts import CUT, cut
+        from vehsim.cameras.cuts import CUT, cut, within
         from vehsim.cameras.framing import solve_camera
         from vehsim.cameras.rigs import RIGS
         from vehsim.shot.cache import filmed, motion_key
@@ -631,7 +635,8 @@ class Shot:
             key = repr((made_of, moves, frames, aspect))
         cameras = filmed(rigs, lambda rig: solve_camera(rig, clips, self.world, frames, aspect), key)
         if self.cuts:
-            cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, self.cuts))
+            shown = within(self.cuts, *frames)
+            cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, shown))
         return tuple(cameras)
 
 
