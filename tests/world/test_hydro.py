@@ -346,6 +346,20 @@ def test_an_added_mass_that_contradicts_the_solved_one_is_left_out():
 
 
 @pytest.mark.parametrize("name", HULLS)
+def test_a_damping_that_its_waves_do_not_carry_away_is_refused(name):
+    """By Haskind's relation, which the coefficients do not use."""
+    from vehsim.world.water.boundary_elements import energy_error, refuse_lossy
+
+    found, size = coefficients(name), STORED["hulls"][name]["size"][0]
+    assert energy_error(found, size).max() < 0.1
+    assert refuse_lossy(found, size, name) is found
+    damping = found.damping.copy()
+    damping[:, 5, 5] *= 2  # of heave
+    with pytest.raises(InputError, match=r"damping of its heave .* by the error of panels"):
+        refuse_lossy(replace(found, damping=damping), size, name)
+
+
+@pytest.mark.parametrize("name", HULLS)
 def test_only_hulls_in_which_waves_ring_are_warned_about(name, monkeypatch, recwarn):
     """A thousandfold damping at one frequency, as between the hulls of a catamaran."""
     from vehsim.world.water import boundary_elements

@@ -47,6 +47,9 @@ LEAST, MOST = 1e-5, 0.01
 """How far its surface may move for that, over its size: tried from the least on."""
 APART = 0.2
 """Largest plausible difference of two added masses; it is below 0.1 for single hulls."""
+LOST, WEAK = 0.15, 0.01
+"""Largest plausible `energy_error`: it was at most 0.06 for eight hulls, and 0.46 for one with folded panels. A mode's
+damping over the largest one from which the error is measured by the mode's own."""
 KIND = "hydro-6"
 """Of cached results: change the number when the method changes."""
 MOST_KEPT = 200_000_000
@@ -105,7 +108,8 @@ def _unfolded(hull: HullMesh) -> HullMesh:
 
 def coefficients(hull: HullMesh, height: float, progress: Progress | None = None) -> Coefficients:
     """Those of a ``hull`` about the body frame's origin, which is ``height`` m above the water, from the cache if they
-    were computed before. Warns of waves that ring within it. Raises ``InputError`` if Capytaine is not installed."""
+    were computed before. Warns of waves that ring within it. Raises ``InputError`` if Capytaine is not installed, or if
+    its panels are not good enough."""
     key = _key(hull, height)
     before = lookup(KIND, key)
     if before is not None:
@@ -122,6 +126,39 @@ def coefficients(hull: HullMesh, height: float, progress: Progress | None = None
             stacklevel=2,
         )
     return found
+
+
+def refuse_lossy(found: Coefficients, size: float, name: str) -> Coefficients:
+    """``found`` for a hull of that ``size``, m. Raises ``InputError`` if its damping contradicts its waves."""
+    wrong = energy_error(found, size)
+    if wrong.max() > LOST:
+        mode = ("roll", "pitch", "yaw", "surge", "sway", "heave")[int(wrong.argmax())]
+        raise InputError(
+            f"its waves carry away another energy than the damping of its {mode} takes: {100 * wrong.max():.0f} % "
+            f"apart by the error of panels, where {100 * LOST:.0f} % is permitted",
+            "give the hull faces of even size that do not overlap, or leave out hydrodynamics and give physics.damping",
+            subject=name,
+        )
+    return found
+
+
+def energy_error(found: Coefficients, size: float) -> Array:
+    """By how much the damping of each mode (6,) differs from the energy that its waves carry away: root mean square of
+    the waves that the headings resolve, over the mode's largest damping; see `WEAK`. ``size`` m: of the hull.
+
+    By Haskind's relation, the excitation ``X`` by waves from all sides is the amplitude of the radiated ones: the
+    damping is ``k / (8 pi rho g c)`` times the integral of ``|X|^2`` over the headings, with the group velocity ``c``.
+    """
+    number = found.omega**2 / GRAVITY
+    resolved = number * size / 2 < len(found.headings) / 2 - 2
+    damping = np.einsum("nii->ni", found.damping)
+    speed = GRAVITY / (2 * found.omega)
+    waves = 2 * np.pi * (np.abs(found.pressure + found.diffraction) ** 2).mean(axis=1)
+    carried = (number / (8 * np.pi * found.density * GRAVITY * speed))[:, None] * waves
+    largest = damping.max(axis=0)
+    for kind in (slice(3), slice(3, 6)):
+        largest[kind] = np.maximum(largest[kind], WEAK * largest[kind].max())
+    return np.asarray(np.sqrt(((carried - damping)[resolved] ** 2).mean(axis=0)) / np.maximum(largest, 1e-300))
 
 
 def rings(found: Coefficients) -> bool:
@@ -206,7 +243,7 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
     memory = fitted(radiation)
     if memory is None:
         warnings.warn(f"{hull.name}: no model of its radiated waves is good enough: give physics.damping", stacklevel=3)
-    return Coefficients(
+    whole = Coefficients(
         omega=omega,
         headings=headings,
         added=added,
@@ -218,6 +255,7 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
         height=height,
         memory=memory,
     )
+    return refuse_lossy(whole, size, hull.name)
 
 
 def _green_function() -> Any:
