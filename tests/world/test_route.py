@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vehsim.errors import InputError, SolveError
+from vehsim.world.distance import route
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -43,6 +44,23 @@ def test_a_higher_ceiling_flies_over_and_shorter(canyon):
     over = canyon.route(START, GOAL, 7.0, ceiling=100)
     assert over[:, 2].max() > 50
     assert length(over) < length(canyon.route(START, GOAL, 7.0))
+
+
+@pytest.mark.parametrize(("clearance", "ceiling"), [(1.0, 60), (7.0, 60), (7.0, 90)])
+def test_the_corridor_of_a_large_grid_has_its_cheapest_path(canyon, monkeypatch, clearance, ceiling):
+    """Searched whole, the grid gives the same path. If the corridor is too narrow, the whole grid is searched next."""
+    narrowed = canyon.route(START, GOAL, clearance, ceiling=ceiling)
+    searched = []
+    cheapest = route._Search._cheapest
+    monkeypatch.setattr(route._Search, "_cheapest", lambda *given: searched.append(len(given[1])) or cheapest(*given))
+    canyon.route(START, GOAL, clearance, ceiling=ceiling)
+    monkeypatch.setattr(route, "CORRIDOR", 1.0)
+    again = canyon.route(START, GOAL, clearance, ceiling=ceiling)
+    monkeypatch.setattr(route, "FEW", np.inf)
+    whole = canyon.route(START, GOAL, clearance, ceiling=ceiling)
+    np.testing.assert_array_equal(narrowed, whole)
+    np.testing.assert_array_equal(again, whole)
+    assert searched[0] < 0.8 * searched[-1], searched
 
 
 def test_a_ceiling_is_kept(canyon):

@@ -6,8 +6,9 @@ straightened where that costs less, and smoothed. It is a path, not a motion, an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,10 @@ Array = NDArray[np.float64]
 
 NODES = 400_000
 """Largest number of grid points in a search: a larger grid is thinned."""
+FEW = 30_000
+"""Number of grid points that are searched at once."""
+CORRIDOR = 1.25
+"""Largest cost of a path in the corridor of a large grid, over the least that it could be."""
 SHY = 4.0
 """At the clearance limit, a metre costs 1 + SHY times as much as in the open."""
 COMFORT = 8.0
@@ -116,10 +121,11 @@ class _Search:
         return 1 + SHY * np.clip(1 - (distance - self.clearance) / COMFORT, 0, 1) ** 2
 
     def shortest(self, ceiling: float) -> Array | None:
-        """The cheapest path (k, 3) m over the grid below ``ceiling``, with both ends; None if there is none."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import dijkstra
+        """The cheapest path (k, 3) m over the grid below ``ceiling``, with both ends; None if there is none.
 
+        Large grids are searched only in the corridor that a grid of twice the step leaves, unless the path that is
+        found there costs so much that another could be cheaper.
+        """
         shape = self.distance.shape
         levels = int(np.sum(self.field.lower[2] + self.step * np.arange(shape[2]) <= ceiling + 1e-9))
         if levels == 0:
@@ -129,27 +135,57 @@ class _Search:
         where = self.field.lower + self.step * candidates
         value = distance[tuple(candidates.T)]
         free = value >= self.demanded(where)
-        nodes, where, value = candidates[free], where[free], value[free]
-        number = np.full(distance.shape, -1)
-        number[tuple(nodes.T)] = np.arange(len(nodes))
+        nodes, where, cost = candidates[free], where[free], self.cost(value[free])
         near = [self._reach(end, where) for end in self.ends]
         if min(map(len, near)) == 0:
             return None
-        rows, cols, weights = _edges(number, self.cost(value), self.step)
-        for k, reached in enumerate(near):
-            rows.append(np.full(len(reached), len(nodes) + k))
-            cols.append(reached)
-            weights.append(np.linalg.norm(where[reached] - self.ends[k], axis=1) + 1e-9)
+        if len(nodes) > FEW:
+            inside, most = self._corridor(nodes, where, cost, near)
+            if not np.isfinite(most):
+                return None
+            kept = np.cumsum(inside) - 1
+            reached = [kept[each[inside[each]]] for each in near]
+            path, length = self._cheapest(nodes[inside], where[inside], cost[inside], reached)
+            if length <= most:
+                return path
+        return self._cheapest(nodes, where, cost, near)[0]
+
+    def _corridor(
+        self, nodes: NDArray[np.int64], where: Array, cost: Array, near: Sequence[NDArray[np.int64]]
+    ) -> tuple[NDArray[np.bool_], float]:
+        """Which nodes (n,) a path may use that costs at most the second result; inf if the ends are not connected.
+
+        Blocks of eight nodes, each as cheap as the cheapest of them, tell the least cost of a path through each.
+        """
+        shape = tuple(nodes.max(axis=0) // 2 + 1)
+        blocks, block = np.unique(np.ravel_multi_index(tuple(nodes.T // 2), shape), return_inverse=True)
+        least = np.full(len(blocks), np.inf)
+        np.minimum.at(least, block, cost)
+        number = np.full(shape, -1)
+        number.flat[blocks] = np.arange(len(blocks))
+        ends = [np.unique(block[each]) for each in near]
+        graph = _graph(_edges(number, least, 2 * self.step), len(blocks), ends, [np.zeros(len(end)) for end in ends])
+        through = np.sum(_dijkstra(graph, [len(blocks), len(blocks) + 1]), axis=0)[: len(blocks)]
+        most = CORRIDOR * float(through.min())
+        return (through <= most + 4 * self.step * (1 + SHY))[block] & np.isfinite(through)[block], most
+
+    def _cheapest(
+        self, nodes: NDArray[np.int64], where: Array, cost: Array, near: Sequence[NDArray[np.int64]]
+    ) -> tuple[Array | None, float]:
+        """The cheapest path over the ``nodes`` (n, 3) at ``where`` (n, 3) m, and its cost; None, inf without one.
+        ``near``: the nodes connected to each end."""
+        number = np.full(nodes.max(axis=0) + 1, -1)
+        number[tuple(nodes.T)] = np.arange(len(nodes))
+        away = [np.linalg.norm(where[each] - end, axis=1) for each, end in zip(near, self.ends, strict=True)]
         size = len(nodes) + 2
-        entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(cols)))
-        graph = coo_matrix(entries, shape=(size, size)).tocsr()
-        length, previous = dijkstra(graph, directed=False, indices=size - 2, return_predecessors=True)
+        graph = _graph(_edges(number, cost, self.step), len(nodes), near, away)
+        length, previous = _dijkstra(graph, size - 2, return_predecessors=True)
         if not np.isfinite(length[size - 1]):
-            return None
+            return None, np.inf
         path = [size - 1]
         while path[-1] != size - 2:
             path.append(int(previous[path[-1]]))
-        return np.concatenate([where, self.ends])[path[::-1]]
+        return np.concatenate([where, self.ends])[path[::-1]], float(length[size - 1])
 
     def _reach(self, end: Array, where: Array) -> NDArray[np.int64]:
         """The nodes connected to an end: those of its cell, or straight below it if it is above the box."""
@@ -194,6 +230,25 @@ class _Search:
             worse = (value < self.demanded(moved)) & (value < self.field.value(points))
             points = np.where(worse[:, None], points, moved)
         return points
+
+
+def _graph(edges: tuple[list, list, list], count: int, near: Sequence[NDArray[np.int64]], away: Sequence[Array]) -> Any:
+    """The graph of ``count`` nodes and two ends after them, which are ``away`` m from the nodes ``near`` them."""
+    from scipy.sparse import coo_matrix
+
+    rows, cols, weights = edges
+    for k, (reached, length) in enumerate(zip(near, away, strict=True)):
+        rows.append(np.full(len(reached), count + k))
+        cols.append(reached)
+        weights.append(length + 1e-9)
+    entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(cols)))
+    return coo_matrix(entries, shape=(count + 2, count + 2)).tocsr()
+
+
+def _dijkstra(graph: Any, start: Any, **given: Any) -> Any:
+    from scipy.sparse.csgraph import dijkstra
+
+    return dijkstra(graph, directed=False, indices=start, **given)
 
 
 def _edges(number: NDArray[np.int64], cost: Array, step: float) -> tuple[list, list, list]:
