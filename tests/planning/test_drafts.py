@@ -16,6 +16,7 @@ from vehsim.planning.problem.solver_cache import common
 from vehsim.world.obstacles.obstacles import box
 
 CAR = vehsim.load_vehicle("car")
+HELICOPTER = vehsim.load_vehicle("helicopter")
 
 
 def marks(y, heading=0.0, frame=1085):
@@ -139,6 +140,25 @@ def test_a_dragged_obstacle_changes_only_parameters(name, height, top):
     assert fresh.success and np.abs(fresh.clip().positions - clip.positions).max() < 0.05
 
 
+def test_what_something_lands_on_may_be_dragged():
+    """A landing on a roof, which is dragged below it: near the roof no clearance is asked for."""
+    ends = [
+        Mark(1001, position=(0, 0, 12), heading=0, velocity=(0, 0, 0)),
+        Mark(1241, position=(40, 0, 6), heading=0, on_ground=True),
+    ]
+
+    def world(x):
+        return vehsim.World(obstacles=[box("roof", (x, 0, 0), (14, 14, 6)), box("other", (20, 20, 0), (4, 4, 20))])
+
+    options = {"fps": 24, "segments": 24, "clearance": 1.0}
+    plan = vehsim.plan(HELICOPTER, world(40.0), ends, **options, refine=False)
+    now = draft(HELICOPTER, world(40.0), ends, plan.clip, **options)
+    for x in (40.5, 41.0):
+        now = now.moved(ends, world(x))
+        assert now.success, now.reason
+    assert now.clip().positions[-1] == pytest.approx([40, 0, 6], abs=0.01)
+
+
 def test_a_moved_and_turned_obstacle_is_recognised():
     one = Dragged(box("tower", (30, 5, 2), (8, 4, 9)))
     moved = one.to(box("tower", (33, 7, 1), (8, 4, 9), 30.0))
@@ -163,9 +183,6 @@ def test_a_draft_faces_as_its_clip_where_a_plan_chose_the_heading():
 
 def parts(world):
     return [(obstacle, 0) for obstacle in world.obstacles]
-
-
-HELICOPTER = vehsim.load_vehicle("helicopter")
 
 
 def flight(place, frame):

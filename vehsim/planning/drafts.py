@@ -77,7 +77,7 @@ class Draft:
         with interrupts.remembered():
             if world is not before.world:
                 changed = _changed(before.world, world)
-                if any(_reaches(request, obstacle) for obstacle in changed):
+                if any(_reaches(request, obstacle, request.marks) for obstacle in changed):
                     check_marks_clear(request.vehicle, world, request.marks, request.clearance, request.fps)
                 cover = self._cover(request, changed, run.deadline.watched(None))
                 earlier = self._iterate.cover
@@ -87,9 +87,11 @@ class Draft:
         return Draft(iterate, run)
 
     def _cover(self, request: Request, changed: Sequence[Any], progress: Progress) -> SphereCover | None:
-        """The cover among obstacles of which some have ``changed``: these are dragged from now on."""
-        if not request.hazards:
-            return None
+        """The cover among obstacles of which some have ``changed``: these are dragged from now on, unless something
+        lands on one."""
+        landed = [mark for mark in request.marks if mark.on_ground]
+        if not request.hazards or any(_reaches(request, obstacle, landed) for obstacle in changed):
+            return cover_for(request, self._iterate.paths, progress)
         before, names = self._iterate.cover, {obstacle.name for obstacle in changed}
         if before is not None and names <= before.dragged:
             moved = moved_cover(before, request.world)
@@ -108,12 +110,12 @@ def _changed(before: World, after: World) -> list[Obstacle]:
     return [obstacle for obstacle in after.standing if there.get(obstacle.name) != obstacle.content_hash]
 
 
-def _reaches(request: Request, obstacle: Obstacle) -> bool:
-    """Whether a vehicle at a mark may be too near to an obstacle: by spheres and boxes around them, which is quick."""
+def _reaches(request: Request, obstacle: Obstacle, marks: Sequence[Mark]) -> bool:
+    """Whether the vehicle may be too near to an obstacle at one of the marks: by boxes around them, which is quick."""
     points = np.vstack([np.zeros((0, 3)), *hulls_of(request.vehicle)])
     reach = request.clearance + float(np.linalg.norm(points, axis=1).max(initial=0.0))
     low, high = np.vstack(obstacle.hulls).min(axis=0) - reach, np.vstack(obstacle.hulls).max(axis=0) + reach
-    places = [np.asarray(mark.position, float) for mark in request.marks if mark.position is not None]
+    places = [np.asarray(mark.position, float) for mark in marks if mark.position is not None]
     return any((low <= place).all() and (place <= high).all() for place in places)
 
 
