@@ -109,6 +109,8 @@ def test_a_draft_follows_an_obstacle_that_moves(name, height, top):
     assert fresh.success and np.abs(fresh.clip().positions - clip.positions).max() < 0.05
     again = now.moved(ends, world(4.0, box("far", (30, 60, 0), (4, 4, top))))
     assert again.success and np.abs(again.clip().positions - clip.positions).max() < 0.05
+    alone = again.moved(ends, vehsim.World(obstacles=[box("far", (30, 60, 0), (4, 4, top))]))
+    assert alone.success and np.abs(alone.clip().positions[:, 1]).max() < 0.5  # the tower has gone
     with pytest.raises(InputError, match="tower"):
         now.moved(ends, vehsim.World(obstacles=[box("tower", (60, 0, 0), (8, 8, top))]))
 

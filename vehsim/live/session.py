@@ -694,7 +694,8 @@ class Session:
         vehicle, world = shot.vehicle(table), shot.world_of(name, self.take.clips)
         marks = [as_mark(mark, vehicle) for mark in table.motion.mark]
         others = tuple(self.take.clips[one.name] for one in world.moving)
-        rest = table.asset, table.parameters, table.motion.model_copy(update={"mark": None}), shape(marks)
+        empty = shot.world.with_only(()).content_hash
+        rest = empty, table.asset, table.parameters, table.motion.model_copy(update={"mark": None}), shape(marks)
         solved = self.take.report["vehicles"][name]
         driven = solved.get("character", table.motion.character)
         segments = solved.get("segments", table.motion.segments)

@@ -93,7 +93,9 @@ class Draft:
         if not request.hazards or any(_reaches(request, obstacle, landed) for obstacle in changed):
             return cover_for(request, self._iterate.paths, progress)
         before, names = self._iterate.cover, {obstacle.name for obstacle in changed}
-        if before is not None and names <= before.dragged:
+        there = {obstacle.name for obstacle in request.world.standing}
+        gone = any(obstacle.name not in there for obstacle in self._iterate.request.world.standing)
+        if before is not None and names <= before.dragged and not gone:
             moved = moved_cover(before, request.world)
             if moved is not None:
                 return moved
