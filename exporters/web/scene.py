@@ -528,10 +528,10 @@ def marks_shown(take: Take) -> Iterator[dict[str, Any]]:
 
 def _unplaced(take: Take) -> Iterator[dict[str, Any]]:
     """The marks with a frame but without a place, such as of a heading only: vehicle, index and frame."""
-    for name, marks in take.report.get("marks", {}).items():
-        for k, mark in enumerate(marks):
-            if mark.get("position") is None and isinstance(mark["frame"], int | float):
-                yield {"vehicle": name, "index": k, "frame": float(mark["frame"])}
+    for table in take.report.get("shot", {}).get("vehicle", []):
+        for k, mark in enumerate((table.get("motion") or {}).get("mark") or [] if table["name"] in take.clips else []):
+            if mark.get("position") is None and isinstance(mark.get("frame"), int | float):
+                yield {"vehicle": table["name"], "index": k, "frame": float(mark["frame"])}
 
 
 def _opening(gate: Gate) -> Array:

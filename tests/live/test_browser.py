@@ -237,6 +237,9 @@ def test_a_mark_without_a_place_has_a_tick_too(tmp_path):
     async def play():
         async with opened(path) as page:
             assert await page.value(frames) == [1001, 1037, 1073]
+            assert await page.value("vehsim.viewer.motion.unplaced.map((one) => one.frame)") == [
+                1037
+            ]  # as in --to html
             tick, there = await page.value(ON_TRACK % 1037), await page.value(ON_TRACK % 1041)
             for kind, place in (("Pressed", tick), ("Moved", there), ("Released", there)):
                 await page.mouse(kind, *place)

@@ -336,11 +336,12 @@ def test_a_mark_whose_frame_is_free_must_be_reached_before_the_shot_ends():
         {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [0, 0, 0]},
         {"frame": "free", "position": [20, 3, 0], "velocity": [0, 0, 0]},
     ]
+    ends.insert(1, {"frame": 1010, "heading": 0})
     motion = {"method": "plan", "segments": 16, "character": "brisk", "mark": ends}
     header = {"schema": 1, "name": "late", "end_frame": 1030, "handles": 4}
     data = {"shot": header, "vehicle": [{"name": "one", "asset": "car", "motion": motion}]}
     with pytest.raises(
-        SolveError, match=r"shot.end_frame = 1030: one reaches mark\[1\] only at frame \d+; use"
+        SolveError, match=r"shot.end_frame = 1030: one reaches mark\[2\] only at frame \d+; use"
     ) as late:
         Shot.from_dict(data).solve()
     ((key, needed),) = late.value.problem.fixes

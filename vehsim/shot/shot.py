@@ -201,7 +201,7 @@ class Shot:
             ends = clips[name].start_frame, clips[name].end_frame
             targets = target_asks(report.pop("targets", ()), *ends, float(self.fps))
             asks[name] = [*asks[name], *(ask.as_dict() for ask in targets)]
-        self._check_free_ends(clips, marks)
+        self._check_free_ends(clips)
         frames = self._frames(clips)
         handles = self.file.shot.handles
         clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
@@ -592,14 +592,15 @@ class Shot:
                 raise SolveError(message, remedy, key="world.terrain", value=terrain, subject=name)
             warnings.warn(f"{name}: reaches into the rock of the terrain {place}; {remedy}", stacklevel=3)
 
-    def _check_free_ends(self, clips: Mapping[str, Clip], marks: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    def _check_free_ends(self, clips: Mapping[str, Clip]) -> None:
         """Raise ``SolveError`` if a mark whose frame the planner chose is reached after the shot's last frame."""
         last = self.file.shot.last
-        for name, clip in clips.items():
-            free = bool(marks[name]) and marks[name][-1]["frame"] == "free"
-            if free and last is not None and clip.end_frame > last:
+        for table in self.file.vehicle:
+            name, marks = table.name, getattr(table.motion, "mark", None) or []
+            free = bool(marks) and marks[-1].frame == "free"
+            if free and last is not None and (clip := clips[name]).end_frame > last:
                 key, given, needed = "shot.end_frame", self.file.shot.end_frame, clip.end_frame - self.file.shot.handles
-                message = f"{name} reaches mark[{len(marks[name]) - 1}] only at frame {clip.end_frame}"
+                message = f"{name} reaches mark[{len(marks) - 1}] only at frame {clip.end_frame}"
                 remedy = f"use {needed} or later, or give the mark an earlier frame"
                 raise SolveError.of(Problem(key, message, remedy, given, fixes=((key, needed),)))
 
