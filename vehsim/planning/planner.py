@@ -56,6 +56,8 @@ from vehsim.vehicles.definition.character import DEFAULT, STUNT
 
 Array = NDArray[np.float64]
 
+NEARER = "request less clearance, more segments, or other marks"
+THROUGH = "it passes through what it must avoid: make room, move the marks, or set a mark on the way"
 LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initial guess; {LONGER}"
 """The message of a plan that ran out of time before the first solve, and the step that used the time."""
 FINER, MOST = 4, 256
@@ -579,7 +581,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         success, reason = False, "clearance"
         message = (
             f"certified clearance {certificate.clearance:.3f} m is below the requested {certificate.wanted:g} m "
-            f"{times}; request less clearance, more segments, or other marks"
+            f"{times}; {NEARER if certificate.clearance > 0 else THROUGH}"
         )
     elif success and certificate.messages:
         success, reason = False, "between knots"
