@@ -1,10 +1,10 @@
 """Clearance in flight: spheres around the vehicle's hulls stay out of distance fields of terrain and obstacles.
 
 Everything at rest is one field. Each moving obstacle has a field in its own frame, and its poses are parameters; so has
-one at rest that somebody drags. Near a
-landing the requested clearance decreases, see `landing.landing_clearance`. The finished motion is certified with the
-hulls themselves; if it comes too near, the requested clearance is increased. Where no motion is found because spheres
-reach farther than the hulls that they contain, the difference is measured and the problem solved again.
+an obstacle at rest while it is dragged. Near a landing the requested clearance decreases, see
+`landing.landing_clearance`. The finished motion is certified with the hulls themselves; if it comes too near, the
+requested clearance is increased. Where no motion is found because spheres reach farther than the hulls that they
+contain, the difference is measured and the problem solved again.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ ROOMY = 0.25
 SAME = 1e-6
 """Largest difference between two shapes, relative to their size, that counts as none."""
 DRAGGED = 64_000
-"""Largest number of points of the field of an obstacle that is dragged: takes a sixth of a second."""
+"""Largest number of points of the field of an obstacle that is dragged; it is measured in a sixth of a second."""
 MORE = 0.05
 """What a tighter solve adds to the clearance beyond the shortfall, m."""
 
