@@ -58,6 +58,7 @@ Array = NDArray[np.float64]
 
 NEARER = "request less clearance, more segments, or other marks"
 THROUGH = "it passes through what it must avoid: make room, move the marks, or set a mark on the way"
+"""Remedies for a motion that keeps too little clearance, and for one that keeps none."""
 LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initial guess; {LONGER}"
 """The message of a plan that ran out of time before the first solve, and the step that used the time."""
 FINER, MOST = 4, 256

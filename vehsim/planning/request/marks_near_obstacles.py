@@ -39,7 +39,7 @@ ROOM = 0.25
 FARTHEST = 50.0
 """How far it looks, m."""
 SPARSE = 15
-"""In the open, every so many of these headings are enough."""
+"""Every so many of these headings are tried first: in the open, they are enough."""
 _HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
 
 
