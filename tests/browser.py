@@ -70,10 +70,10 @@ class Page:
             await asyncio.sleep(0.1)
         raise AssertionError(f"never true: {script}")
 
-    async def mouse(self, kind: str, x: float, y: float) -> None:
-        """``kind``: Pressed, Moved or Released."""
+    async def mouse(self, kind: str, x: float, y: float, modifiers: int = 0) -> None:
+        """``kind``: Pressed, Moved or Released; ``modifiers``: 8 is Shift."""
         held = 0 if kind == "Released" else 1
-        parameters = {"x": x, "y": y, "button": "left", "buttons": held, "clickCount": 1}
+        parameters = {"x": x, "y": y, "button": "left", "buttons": held, "clickCount": 1, "modifiers": modifiers}
         await self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", **parameters)
 
     async def hold(self, key: str, code: str, down: bool) -> None:

@@ -522,7 +522,7 @@ def marks_shown(take: Take) -> Iterator[dict[str, Any]]:
                 "frame": float(frame),
                 "position": [*place.tolist(), *there.positions[0, len(place) :].tolist()],
                 "heading": float(np.degrees(yaw_of(there.orientations)[0])),
-                "gate": None if mark.get("gate") is None else _opening(Gate(**mark["gate"])).tolist(),
+                "gate": None if mark.get("gate") is None else _opening(Gate(**mark["gate"])),
             }
 
 
@@ -534,15 +534,20 @@ def _unplaced(take: Take) -> Iterator[dict[str, Any]]:
                 yield {"vehicle": table["name"], "index": k, "frame": float(mark["frame"])}
 
 
-def _opening(gate: Gate) -> Array:
-    """The border (n, 3) m of a gate around its centre, closed."""
-    _, width, height = gate.axes
+def _opening(gate: Gate) -> dict[str, Any]:
+    """The border of a gate around its centre: closed ``points`` (n, 3) m in axes along its direction, its width and its
+    height, which are turned by ``heading`` and up by ``tilt``, in degrees."""
     if gate.size is None:
         turn = np.linspace(0.0, 2 * np.pi, 49)
         across, up = gate.radius * np.column_stack([np.cos(turn), np.sin(turn)]).T  # type: ignore[operator]  # without a size it has one
     else:
         across, up = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]]) * np.reshape(gate.size, (2, 1)) / 2
-    return across[:, None] * width + up[:, None] * height
+    x, y, z = gate.direction
+    return {
+        "points": np.column_stack([0 * up, across, up]).tolist(),
+        "heading": float(np.degrees(np.arctan2(y, x))),
+        "tilt": float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+    }
 
 
 def _curves(pack: Packing, take: Take, name: str, clip: Clip) -> Iterator[dict[str, Any]]:

@@ -124,7 +124,9 @@ def test_a_gate_is_drawn_around_its_mark(delivered):
     _, _, block = delivered
     first, second = (mark["gate"] for mark in block.header["marks"])
     assert first is None
-    assert sorted(map(tuple, second[:4])) == [(-2, 0, -1), (-2, 0, 1), (2, 0, -1), (2, 0, 1)] and second[4] == second[0]
+    corners = second["points"]  # along the direction, the width, the height
+    assert sorted(map(tuple, corners[:4])) == [(0, -2, -1), (0, -2, 1), (0, 2, -1), (0, 2, 1)]
+    assert corners[4] == corners[0] and (second["heading"], second["tilt"]) == (pytest.approx(90), 0)
 
 
 def test_curves_show_the_speed(delivered):

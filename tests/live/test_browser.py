@@ -1,6 +1,7 @@
 """The live page in a real browser: a mark is dragged with the mouse, and the keys do what the help says."""
 
 import asyncio
+import math
 import subprocess
 import sys
 import tomllib
@@ -146,6 +147,65 @@ def test_scrubbing_a_mark_retimed_too_early_its_fix_and_the_bytes_of_an_export(t
     subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE)
     ours, theirs = (content(tmp_path / name / "drive") for name in ("out", "cli"))
     assert "drive.html" in ours and ours == theirs
+
+
+GATE = "gate = { direction = [5, 0, 0], size = [4, 3] } # the arch\n"
+
+
+def test_a_gate_is_turned_and_tilted_by_its_arrow(tmp_path):
+    """Its border and the motion follow; its mark stays where it is."""
+    first, last = SHOT.rindex("[[vehicle.motion.mark]]"), "position = [8, 1, 0]"
+    mark = "[[vehicle.motion.mark]]\nframe = 1043\nposition = [5, 0.6, 0]\n"
+    path = written(tmp_path, SHOT[:first] + mark + GATE + SHOT[first:])
+    arrow = "vehsim.live.grips.find((grip) => grip.handle.key.endsWith('gate.direction'))"
+    tip = PLACE.replace(
+        "v.rings[1].position.clone()",
+        f"new THREE.Vector3({arrow}.ring.userData.tip, 0, 0).applyMatrix4({arrow}.ring.matrixWorld)",
+    )
+
+    async def turn(page, to, shift=0):
+        await page.value("vehsim.viewer.draw()")  # else the arrow is where it will be drawn only with the next picture
+        (x, y), (u, v) = await page.value(tip), to
+        await page.mouse("Moved", x, y)
+        await page.until("document.getElementById('view').title.endsWith('gate.direction')")
+        await page.mouse("Pressed", x, y)
+        for k in range(1, 6):
+            await page.mouse("Moved", x + u * k / 5, y + v * k / 5, shift)
+        await page.until("document.getElementById('status').textContent.startsWith('dragging')")
+        border = "vehsim.viewer.rings[1].userData.carries.rotation"
+        assert await page.value(f"{border}.equals({arrow}.ring.rotation)")
+        await page.mouse("Released", x + u, y + v, shift)
+        await page.until(f"!document.getElementById('do-undo').disabled && {SOLVED}")
+
+    async def saved(page):
+        await page.value("document.getElementById('do-save').click()")
+        await page.until("document.getElementById('do-save').disabled")
+        marks = tomllib.loads(path.read_text())["vehicle"][0]["motion"]["mark"]
+        assert marks[1]["position"] == [5, 0.6, 0] and "heading" not in marks[1] and "# the arch" in path.read_text()
+        return marks[1]["gate"]["direction"]
+
+    async def play():
+        async with opened(path) as page:
+            await page.value("vehsim.viewer.orbit.target.set(5, 1, 0); vehsim.viewer.camera.position.set(3, -12, 8)")
+            await page.value("vehsim.viewer.orbit.update(); vehsim.viewer.draw()")
+            await turn(page, (-15, -25))
+            x, y, z = await saved(page)
+            assert x > 0 < y and z == 0 and math.hypot(x, y) == pytest.approx(5, abs=1e-3)
+            heading = f"{arrow}.ring.rotation.z"
+            assert await page.value(heading) == pytest.approx(math.atan2(y, x), abs=1e-3)
+
+            await turn(page, (0, -20), shift=8)
+            u, v, w = await saved(page)
+            assert w > 0.5 and math.atan2(v, u) == pytest.approx(math.atan2(y, x), abs=1e-3)
+            assert math.hypot(u, v, w) == pytest.approx(5, abs=1e-3)
+            for left in (True, False):
+                await page.value("document.getElementById('do-undo').click()")
+                await page.until(f"{SOLVED} && document.getElementById('do-undo').disabled !== {str(left).lower()}")
+            assert await page.value(heading) == 0
+            assert await saved(page) == [5, 0, 0]
+
+    asyncio.run(play())
+    assert last in path.read_text()
 
 
 BOX = """

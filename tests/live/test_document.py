@@ -98,16 +98,29 @@ def test_added_tables_are_apart_where_the_others_are(path):
     assert document.text == APART.replace(camera, f"[vehicle.motion.limits]\nspeed = 9\n\n{camera}\n{note}")
 
 
-@pytest.mark.parametrize(("own", "kept"), [("", ""), ("heading = 10\n", "heading = 90.0\n")])
-def test_a_gate_turns_with_its_mark(path, own, kept):
-    """Its direction keeps its slope; a heading is changed only where there is one."""
-    gate = "gate = {{ direction = [{}], size = [6, 4] }} # the arch\n"
-    path.write_text(TEXT + own + gate.format("3, 4, 1"))
+@pytest.mark.parametrize(
+    ("given", "heading", "tilt", "kept"),
+    [
+        ("3, 4, 0", 90.0, None, "0.0, 5.0, 0"),  # of the same length
+        ("0, 4, 3", 0.0, None, "4.0, 0.0, 3"),  # and the same slope
+        ("4, 0, 3", None, -30.0, "4.33, 0, -2.5"),
+        ("0, 0.1, 0", 180.0, 45.0, "-0.707, 0.0, 0.707"),  # long enough for its decimals
+    ],
+)
+def test_a_gate_is_turned_at_its_mark(path, given, heading, tilt, kept):
+    """It does not move, and the mark's heading is its own."""
+    text = TEXT + f"heading = 10\ngate = {{ direction = [{given}], size = [6, 4] }} # the arch\n"
+    path.write_text(text)
     document = Document(path)
-    place(document, 1, 0, [5.0, 10.0, 0.0], 90.0)
-    assert document.text == TEXT + kept + gate.format("0.0, 5.0, 1")
+    gate = next(handle for handle in handles(document.data) if handle.key.endswith("gate.direction"))
+    mark = next(handle for handle in handles(document.data) if handle.key == gate.on)
+    assert gate.place == mark.place and gate.key.startswith(mark.key.removesuffix("position")) and gate.mark is None
+    document.change(gate.moved([1.0, 2.0, 3.0], heading, tilt=tilt))
+    assert document.text == text.replace(given, kept)
     document.undo()
-    assert document.text == TEXT + own + gate.format("3, 4, 1")
+    assert document.text == text
+    document.change(mark.moved(mark.place, 20.0))
+    assert document.text == text.replace("heading = 10\n", "heading = 20.0\n")
 
 
 def test_undo_and_redo_restore_every_byte(path):

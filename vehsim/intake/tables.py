@@ -132,7 +132,10 @@ Array = BeforeValidator(_from_tuple)
 Point = Annotated[list[Metre], Array, Len(3, 3)]
 PLACE = "place"
 """The ``format`` in the JSON schema of values that are places in the world: pages offer to drag them."""
+DIRECTION = "direction"
+"""The ``format`` of directions of what is at the place that the table around them gives: pages offer to turn them."""
 AT = InSchema(lambda own: own | {"format": PLACE})
+TOWARDS = InSchema(lambda own: own | {"format": DIRECTION})
 Place = Annotated[Point, AT]
 Text = Annotated[str, Field(min_length=1, max_length=4096)]
 Name = Annotated[str, Field(pattern=f"^{NAME}$")]

@@ -30,13 +30,14 @@ class Indexed(_Message):
 class Moved(Indexed):
     """A handle at another place.
 
-    ``key``: that of the handle; ``heading`` in degrees, None if it was not turned; ``frame``: None if it was not
-    retimed.
+    ``key``: that of the handle; ``heading`` and ``tilt`` in degrees, None if it was not turned; ``frame``: None if it
+    was not retimed.
     """
 
     key: Key
     position: Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
     heading: Angle | None = None
+    tilt: Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)] | None = None
     frame: Frame | None = None
 
 

@@ -190,7 +190,7 @@ class Session:
         return {
             "frame": frame if isinstance(frame, int) else None,
             "drawn": {"place": drawn.place, "heading": drawn.heading},
-            **{name: getattr(handle, name) for name in ("key", "place", "heading", "turns", "mark")},
+            **{name: getattr(handle, name) for name in ("key", "place", "heading", "turns", "mark", "on", "tilt")},
             "vehicle": None if handle.vehicle is None else file.vehicle[handle.vehicle].name,
             "obstacle": None if k is None else name_of(k, file.world.obstacle[k]),
             "follows": [table.name for table in self._following(handle)],
@@ -356,7 +356,7 @@ class Session:
             raise InputError("solved on release", key=moved.key)
         assert self.take is not None and self._kinematics is not None
         data = copy.deepcopy(self.document.data)
-        for key, value in handle.moved(moved.position, moved.heading, moved.frame):
+        for key, value in handle.moved(moved.position, moved.heading, moved.frame, moved.tilt):
             write(data, key, value)
         shot = Shot.from_dict(data, folder=self.document.path.parent)
         self._reuse_world(shot)
@@ -374,7 +374,7 @@ class Session:
                     self.drag(moved)
                 drawn = {table.name: self._drafts[table.name].draft.clip() for table in self._following(handle)}
         self._dragged = None
-        self.document.change(handle.moved(moved.position, moved.heading, moved.frame))
+        self.document.change(handle.moved(moved.position, moved.heading, moved.frame, moved.tilt))
         shown = self.solve()
         self._kept = self.document.text, drawn
         if shown is not None:

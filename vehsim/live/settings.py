@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from vehsim.intake.tables import PLACE
+from vehsim.intake.tables import DIRECTION, PLACE
 
 KINDS = ("number", "integer", "boolean")
 KEY = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
@@ -42,10 +42,10 @@ class Setting:
 
 @dataclass(frozen=True)
 class Handle:
-    """A place in the file that can be dragged."""
+    """A place in the file that can be dragged, or a direction there that can be turned."""
 
     key: str
-    """The dotted key of the place, such as ``world.obstacle[0].centre``."""
+    """Its dotted key, such as ``world.obstacle[0].centre``."""
     place: tuple[float, float, float]
     """Where it is, m: of corners their mean."""
     heading: float | None
@@ -60,40 +60,68 @@ class Handle:
     """The index of its obstacle; None: it is none."""
     value: Any
     """As in the file."""
-    through: Sequence[float] | None = None
-    """The direction of its gate, as in the file; None: it has none."""
+    on: str | None = None
+    """Of a direction, the key of the place that it is at; None: this is a place itself."""
+    tilt: float | None = None
+    """Of a direction, its angle above the horizon in degrees."""
 
-    def moved(self, place: Sequence[float], heading: float | None = None, frame: int | None = None) -> list[Change]:
-        """What changes in the file when it is at ``place`` (3,) m; ``heading`` and ``frame``: None to leave them. The
-        heading of a mark without one, but with a gate, is the gate's."""
+    def moved(
+        self,
+        place: Sequence[float],
+        heading: float | None = None,
+        frame: int | None = None,
+        tilt: float | None = None,
+    ) -> list[Change]:
+        """What changes in the file when it is at ``place`` (3,) m, which a direction does not change; ``heading``,
+        ``frame`` and ``tilt``: None to leave them."""
+        if self.tilt is not None and self.heading is not None:
+            turned = self.heading if heading is None else heading, self.tilt if tilt is None else tilt
+            return [(self.key, _towards(*turned, math.hypot(*self.value)))]
         table, by = self.key.rpartition(".")[0], [b - a for a, b in zip(self.place, place, strict=True)]
         found: list[Change] = [(self.key, _shifted(self.value, by))]
         if _width(self.value) == 2 and by[2]:
             found.append((f"{table}.base", round(place[2], DECIMALS)))
-        if heading is not None and self.through is not None:
-            level, turn = math.hypot(*self.through[:2]) or 1.0, math.radians(heading)
-            turned = level * math.cos(turn), level * math.sin(turn), self.through[2]
-            found.append((f"{table}.gate.direction", [round(x, DECIMALS) for x in turned]))
-            heading = None if self.heading is None else heading
         given = {"heading": None if heading is None else round(heading, DECIMALS), "frame": frame}
         return found + [(f"{table}.{name}", value) for name, value in given.items() if value is not None]
 
 
 def handles(data: Mapping[str, Any]) -> list[Handle]:
-    """The places that a valid shot file gives, in its order."""
-    found = []
+    """The places that a valid shot file gives, and the directions at them, in its order."""
+    found: list[Handle] = []
     for leaf in _leaves("", _schema(), data):
         value = leaf.table.get(leaf.name, leaf.about.get("default"))
-        if value is None or not any(form.get("format") == PLACE for form in leaf.forms):
+        if value is None or not (form := _dragged(leaf.forms)):
+            continue
+        if form == DIRECTION:
+            around = leaf.key.rsplit(".", 2)[0]
+            found += [_direction(leaf.key, value, at) for at in found if at.key.rpartition(".")[0] == around]
             continue
         height, turns = leaf.table.get("base", 0.0), leaf.keys.get("heading")
         heading = leaf.table.get("heading", turns.get("default") if turns else None)
         part = {name: int(number) for name, number in re.findall(r"(\w+)\[(\d+)\]", leaf.key)}
         x, y, z = (*_mean(value), height)[:3]
         owners = part.get("vehicle"), part.get("mark"), part.get("obstacle")
-        through = (leaf.table.get("gate") or {}).get("direction")
-        found.append(Handle(leaf.key, (x, y, z), heading, turns is not None, *owners, value, through))
+        found.append(Handle(leaf.key, (x, y, z), heading, turns is not None, *owners, value))
     return found
+
+
+def _dragged(forms: Sequence[Mapping[str, Any]]) -> str | None:
+    """The format of values that can be dragged, or None."""
+    return next((form["format"] for form in forms if form.get("format") in (PLACE, DIRECTION)), None)
+
+
+def _direction(key: str, value: Sequence[float], at: Handle) -> Handle:
+    """The handle of a direction (3,) of any length at a place."""
+    level = math.hypot(*value[:2])
+    heading, tilt = math.degrees(math.atan2(value[1], value[0])), math.degrees(math.atan2(value[2], level))
+    return Handle(key, at.place, heading, True, at.vehicle, None, None, value, on=at.key, tilt=tilt)
+
+
+def _towards(heading: float, tilt: float, length: float) -> list[float]:
+    """The direction (3,) of angles in degrees; it has at least unit length, so that its decimals suffice."""
+    yaw, pitch, length = math.radians(heading), math.radians(tilt), max(length, 1.0)
+    level = length * math.cos(pitch)
+    return [round(x, DECIMALS) for x in (level * math.cos(yaw), level * math.sin(yaw), length * math.sin(pitch))]
 
 
 def _mean(value: Any) -> tuple[float, ...]:
@@ -170,8 +198,7 @@ def _leaves(key: str, node: Mapping[str, Any], data: Any) -> Iterator[_Leaf]:
         for name, child in form.get("properties", {}).items():
             place, value = f"{key}.{name}".lstrip("."), data.get(name)
             forms = list(_forms(child, value))
-            placed = any(one.get("format") == PLACE for one in forms)
-            if not placed and (
+            if not _dragged(forms) and (
                 isinstance(value, dict | list) or (value is None and "default" in child and _is_open(forms))
             ):
                 below += [(place, one, value or {}) for one in forms]

@@ -407,21 +407,34 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       const points = [];
       for (let k = 0; k < 32; k++) points.push(circle[k], circle[k + 1]);
       if (heading === null) points.push([-0.3, 0, 0], [0.3, 0, 0], [0, -0.3, 0], [0, 0.3, 0]);
-      else points.push([0, 0, 0], [2, 0, 0], [2, 0, 0], [1.6, 0.25, 0], [2, 0, 0], [1.6, -0.25, 0]);
-      const ring = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color, fog: false, depthTest: false }));
-      ring.position.set(...position);
-      ring.rotation.z = ((heading || 0) * Math.PI) / 180;
-      ring.renderOrder = 2;
-      overlay.add(ring);
-      return ring;
+      else points.push([0, 0, 0], [2, 0, 0], ...head(2));
+      return this._addHandle(overlay, position, points, color, heading || 0, 0);
+    }
+
+    /** An arrow along a direction, with two heads, longer than that of a ring in the same place. */
+    addArrow(overlay, position, heading, tilt, color) {
+      const arrow = this._addHandle(overlay, position, [[0, 0, 0], [3.4, 0, 0], ...head(3.4), ...head(3.1)], color, heading, tilt);
+      arrow.userData.tip = 3.4;
+      return arrow;
+    }
+
+    _addHandle(overlay, position, points, color, heading, tilt) {
+      const made = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color, fog: false, depthTest: false }));
+      made.position.set(...position);
+      turn(made, heading, tilt);
+      made.renderOrder = 2;
+      made.userData.tip = 2;
+      overlay.add(made);
+      return made;
     }
 
     /** A mark's ring, its gate, and the vehicle's ghost. */
     _addMark(mark) {
       const ring = this.addRing(this.overlays.paths, mark.position, mark.heading, ACCENT);
       if (mark.gate) {
-        const points = mark.gate.flatMap((point, k) => (k ? [mark.gate[k - 1], point] : []));
-        const gate = new THREE.LineSegments(lines(points), new THREE.LineBasicMaterial({ color: ACCENT, fog: false }));
+        const { points, heading, tilt } = mark.gate, border = points.flatMap((point, k) => (k ? [points[k - 1], point] : []));
+        const gate = new THREE.LineSegments(lines(border), new THREE.LineBasicMaterial({ color: ACCENT, fog: false }));
+        turn(gate, heading, tilt);
         ring.userData.carries = gate;
         this.overlays.paths.add(gate);
       }
@@ -471,11 +484,13 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       box.style.top = seen ? `${50 * (1 - at.y)}%` : "";
     }
 
-    /** Rings that are no marks, in place of those before. */
+    /** Rings that are no marks, and arrows of directions, in place of those before. */
     setHandles(given) {
-      dispose(this.overlays.handles);
+      const { handles } = this.overlays;
+      dispose(handles);
       this.stale = true;
-      return given.map(({ place, heading, turns }) => this.addRing(this.overlays.handles, this.local(place), turns ? heading : null, FRUSTUM));
+      return given.map(({ place, heading, turns, tilt }) =>
+        tilt === null ? this.addRing(handles, this.local(place), turns ? heading : null, FRUSTUM) : this.addArrow(handles, this.local(place), heading, tilt, ACCENT));
     }
 
     /** A place of the world in the scene, whose positions are relative to its origin so that single precision suffices. */
@@ -986,6 +1001,14 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       new THREE.Quaternion(poses[at + 3], poses[at + 4], poses[at + 5], poses[at + 6]).normalize(),
       unit,
     );
+  }
+
+  /** The two sides of an arrow's head at a point on the x axis. */
+  const head = (x) => [[x, 0, 0], [x - 0.4, 0.25, 0], [x, 0, 0], [x - 0.4, -0.25, 0]];
+
+  /** Turn the x axis of an object by a heading, and up by a tilt, in degrees; its y axis stays level. */
+  function turn(one, heading, tilt) {
+    one.rotation.set(0, (-tilt * Math.PI) / 180, (heading * Math.PI) / 180, "ZYX");
   }
 
   function lines(points) {

@@ -6,6 +6,7 @@
   const NEAR = 16, SAME = 4; // px
   const LIT = 0xffe066;
   const DEGREES = 180 / Math.PI;
+  const STEEPEST = 89 / DEGREES; // a direction that is upright has no heading
   let socket, editor = false, state = null, dragged = null, grips = [], lit = {};
 
   const panel = document.createElement("aside");
@@ -48,7 +49,7 @@
   }
 
   vehsim.keys.push(
-    ["drag a ring", "move a mark or another place; with Shift up and down"], ["drag an arrow", "turn it"],
+    ["drag a ring", "move a mark or another place; with Shift up and down"], ["drag an arrow", "turn it; a gate's with Shift: tilt it"],
     ["Ctrl Z", "undo; with Shift redo"], ["Ctrl S", "save"], ["H", "hide or show the panel"],
   );
 
@@ -165,7 +166,7 @@
     return caster.ray;
   }
 
-  const tip = (ring) => new THREE.Vector3(2, 0, 0).applyMatrix4(ring.matrixWorld);
+  const tip = (ring) => new THREE.Vector3(ring.userData.tip, 0, 0).applyMatrix4(ring.matrixWorld);
 
   /** Pair each handle with its ring: a motion of the same marks draws theirs, all others are drawn here. A drag goes on. */
   function drawHandles() {
@@ -180,6 +181,10 @@
     for (const ring of viewer.rings) ring.visible = same;
     grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })) : [];
     grips.push(...own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) })));
+    for (const grip of grips) {
+      const at = grip.handle.on && grips.find((one) => one.handle.key === grip.handle.on);
+      if (at) Object.assign(grip, { at, border: at.ring.userData.carries });
+    }
     for (const grip of grips) carry(grip);
     const now = dragged && dragged.tables === state.tables && grips.find((grip) => grip.handle.key === dragged.handle.key);
     if (!now) {
@@ -201,8 +206,11 @@
     return found;
   }
 
-  /** Move the meshes of an obstacle from where the scene has them to its ring. */
-  function carry({ ring, handle, solid }) {
+  /** Move the meshes of an obstacle from where the scene has them to its ring, and what is at a mark with the mark. */
+  function carry({ ring, handle, solid, at, border }) {
+    if (at) ring.position.copy(at.ring.position);
+    if (border) border.rotation.copy(ring.rotation);
+    for (const one of grips) if (one.at && one.at.ring === ring) carry(one);
     const place = vehsim.viewer.local(handle.drawn.place), turn = ring.rotation.z - (handle.drawn.heading || 0) / DEGREES;
     for (const mesh of solid) {
       mesh.rotation.z = turn;
@@ -215,7 +223,8 @@
     const viewer = vehsim.viewer;
     if (!viewer || !editor || !viewer.shown.paths) return null;
     let best = null;
-    for (const grip of grips) for (const turning of grip.turns ? [true, false] : [false]) {
+    for (const grip of grips) for (const turning of [true, false]) {
+      if (turning ? !grip.turns : grip.at) continue;
       const at = pixels(turning ? tip(grip.ring) : grip.ring.position);
       const away = at && Math.hypot(at.x - event.clientX, at.y - event.clientY);
       if (at && away < (best ? best.away - SAME : NEAR)) best = { grip, turning, away };
@@ -235,7 +244,10 @@
 
   function message(kind) {
     const { ring, handle, turned, tables } = dragged;
-    return { kind, tables, key: handle.key, position: vehsim.viewer.world(ring.position), heading: turned ? ring.rotation.z * DEGREES : null };
+    return {
+      kind, tables, key: handle.key, position: vehsim.viewer.world(ring.position),
+      heading: turned ? ring.rotation.z * DEGREES : null, tilt: turned && handle.tilt !== null ? -ring.rotation.y * DEGREES : null,
+    };
   }
 
   function grab(event) {
@@ -243,7 +255,7 @@
     if (!hit) return;
     const { ring } = hit.grip;
     dragged = { ...hit.grip, viewer: vehsim.viewer, tables: state.tables, turning: hit.turning, turned: false, moved: false };
-    dragged.plane = new THREE.Plane(new THREE.Vector3(0, 0, 1), -ring.position.z);
+    dragged.plane = new THREE.Plane(new THREE.Vector3(0, 0, 1), -(hit.turning ? tip(ring) : ring.position).z);
     const start = ray(event).intersectPlane(dragged.plane, new THREE.Vector3());
     dragged.grip = start ? ring.position.clone().sub(start) : new THREE.Vector3();
     element("stage").setPointerCapture(event.pointerId);
@@ -260,14 +272,16 @@
       element("view").title = hit ? hit.grip.handle.key : "";
       return;
     }
-    const { ring, plane, grip } = dragged;
-    if (event.shiftKey && !dragged.turning) { // up and down, in the upright plane that faces the camera
+    const { ring, plane, grip } = dragged, tilts = dragged.turning && dragged.handle.tilt !== null;
+    if (event.shiftKey && (tilts || !dragged.turning)) { // up and down, in the upright plane that faces the camera
       const ahead = vehsim.viewer.view.getWorldDirection(new THREE.Vector3()).setZ(0).normalize();
       const wall = new THREE.Plane().setFromNormalAndCoplanarPoint(ahead, ring.position);
       const hit = ray(event).intersectPlane(wall, new THREE.Vector3());
-      if (hit) ring.position.z = hit.z;
-      plane.constant = -ring.position.z;
+      if (hit && tilts) tilt(hit.z);
+      else if (hit) ring.position.z = hit.z;
+      plane.constant = -(tilts ? tip(ring) : ring.position).z;
     } else {
+      dragged.lifted = null;
       const hit = ray(event).intersectPlane(plane, new THREE.Vector3());
       if (!hit) return;
       if (dragged.turning) {
@@ -287,6 +301,16 @@
       });
     }
     event.stopPropagation();
+  }
+
+  /** Raise the tip of the dragged arrow by as much as the pointer, at height z, has risen since Shift is held. */
+  function tilt(z) {
+    const { ring } = dragged, length = ring.userData.tip * ring.scale.x;
+    dragged.lifted ||= { z, sine: -Math.sin(ring.rotation.y) };
+    const sine = dragged.lifted.sine + (z - dragged.lifted.z) / length;
+    ring.rotation.y = -Math.min(Math.max(Math.asin(Math.min(Math.max(sine, -1), 1)), -STEEPEST), STEEPEST);
+    ring.updateMatrixWorld();
+    dragged.turned = true;
   }
 
   function release(event) {

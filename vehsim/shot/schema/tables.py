@@ -22,7 +22,20 @@ from pydantic import (
 
 from vehsim.assets import REGISTRIES
 from vehsim.cameras.camera import CameraRig
-from vehsim.intake.tables import Array, InSchema, Metre, Name, NotNegative, Number, Place, Point, Positive, Table, Text
+from vehsim.intake.tables import (
+    TOWARDS,
+    Array,
+    InSchema,
+    Metre,
+    Name,
+    NotNegative,
+    Number,
+    Place,
+    Point,
+    Positive,
+    Table,
+    Text,
+)
 from vehsim.requests.mark_frame import FREE, Timed
 from vehsim.world.world import MAX_WIND
 
@@ -148,7 +161,7 @@ class Header(Table):
 class GateTable(Table):
     """``gate = { direction = [1, 0, 0], radius = 4 }``: an opening about a mark's position."""
 
-    direction: Velocity
+    direction: Annotated[Velocity, TOWARDS]
     """the direction of passage, [x, y, z] of any length; without velocity and speed, at least 0.05 m/s in it"""
     radius: Positive | None = None
     """the radius of a ring in m"""
