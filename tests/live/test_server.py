@@ -414,6 +414,7 @@ def test_a_difference_that_comes_from_the_grid_offers_no_guess(path, monkeypatch
     place = {"key": MARK, "position": [9.0, 2.0, 0.0]}
     session.drag(Drag(kind="drag", **place))
     session.place(Place(kind="place", **place))
+    session.compare_dragged()
     (told,) = [one for one in session.problems if "dragged" in one["text"]]
     assert "the dragged one, because a drag is solved on a coarser grid" in told["text"] and "keeps" not in told
 

@@ -138,6 +138,8 @@ class Session:
         """The last drag that was drawn."""
         self._kept: tuple[str, dict[str, Clip]] = "", {}
         """A text, and the motion of vehicles that was drawn before it was solved."""
+        self._uncompared: list[str] = []
+        """The vehicles whose motion was solved after a drag, but not compared with the dragged one."""
         self._kinematics: Kinematics | None = None
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")
 
@@ -365,7 +367,7 @@ class Session:
         return draft_block(replace(self.take, clips={**self.take.clips, **clips}), self._kinematics, list(clips))
 
     def place(self, moved: Place) -> bytes | None:
-        """Write a handle's new place into the document and `solve`."""
+        """Write a handle's new place into the document and `solve`; `compare_dragged` comes after that is shown."""
         handle = self._handle(moved)
         drawn = {}
         if self._dragged is not None and self._dragged.key == moved.key:
@@ -376,11 +378,14 @@ class Session:
         self._dragged = None
         self.document.change(handle.moved(moved.position, moved.heading, moved.frame, moved.tilt))
         shown = self.solve()
-        self._kept = self.document.text, drawn
-        if shown is not None:
-            for name in drawn:
-                self._compare(name)
+        self._kept, self._uncompared = (self.document.text, drawn), list(drawn) if shown is not None else []
         return shown
+
+    def compare_dragged(self) -> None:
+        """Add to ``problems`` where the motion solved on release, which the page shows, is not the dragged one."""
+        names, self._uncompared = self._uncompared, []
+        for name in names if self.solved else ():
+            self._compare(name)
 
     def keep_dragged(self, wanted: KeepDragged) -> bytes | None:
         """Save the dragged motion of a vehicle beside the shot as its guess, and `solve` from there."""
