@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Len
+from annotated_types import Ge, Gt, Le, Len
 from pydantic import AfterValidator
 
 
@@ -60,6 +60,7 @@ Acceleration = Annotated[float, Unit("m/s^2")]
 AngularRate = Annotated[float, Unit("rad/s")]
 AddedMass = Annotated[float, Unit("kg, kg m^2"), Ge(0)]
 Coefficient = Annotated[float, Unit(""), Ge(0)]
+Share = Annotated[float, Unit(""), Ge(0), Le(1)]
 JointDamping = Annotated[float, Unit("N m s/rad"), Ge(0)]
 LinearDamping = Annotated[float, Unit("N s/m"), Ge(0)]
 Stiffness = Annotated[float, Unit("N m/rad"), Ge(0)]

@@ -36,6 +36,7 @@ from vehsim.vehicles.definition.quantities import (
     Pressing,
     PrincipalInertia,
     QuadraticDamping,
+    Share,
     With,
     Without,
 )
@@ -59,6 +60,7 @@ def boat(
     rudder: Annotated[Place, With("rudder_area")] = (0.0, 0.0, 0.0),
     rudder_area: Area = 0.0,
     rudder_slope: Annotated[Coefficient, With("rudder_area")] = 4.0,
+    skeg: Annotated[Share, With("outboard")] = 0.5,
     damping: Annotated[Sequence[LinearDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     damping_quadratic: Annotated[Sequence[QuadraticDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     wetted_centre: Coordinate = 0.0,
@@ -87,15 +89,17 @@ def boat(
     controls thrust [N] and steering [rad], positive to port) or thrusters fixed along X (``outboard`` 0:
     LIE's controls, a thrust each [N], named right and left when they are two, and a steering when there is a rudder).
     Thrust fades as the propeller, ``propeller_diameter`` m, comes out of the water; at ``full_thrust`` N it turns at
-    ``propeller_speed`` rad/s (channel ``propeller``). ``rudder``: a fin, or the outboard's leg, of ``rudder_area``
-    m^2 and lift slope ``rudder_slope`` 1/rad, turned by the steering. ``damping`` N s/m, ``damping_quadratic``,
-    ``reference_area``, ``normal_force``, ``impact``, ``planing`` and ``added_mass``: see `Hull`; ``wetted_centre`` (x,
-    m) and ``wetted_radius`` (root mean square of x, m) of the wetted surface carry the resistance over to ``planar``,
-    and ``impact_drag`` (2,) N s^2/m^2, ahead and across, what ``impact`` and ``planing`` add to it.
-    ``wetted_length`` m and ``wetted_area`` m^2 of the hull at rest add the friction of ITTC 1957, times 1 +
-    ``form_factor``. With ``chine_beam`` m, ``deadrise`` rad and the end of the keel at the ``transom`` (x, z), m
-    from the centre of mass, the boat planes as Savitsky's hulls: see `vehsim.vehicles.definition.resistance`;
-    ``running_centre`` and ``running_radius`` m take the place of those of the wetted surface when it does.
+    ``propeller_speed`` rad/s (channel ``propeller``). ``rudder``: a fin, or the outboard's leg, of ``rudder_area`` m^2
+    and lift slope ``rudder_slope`` 1/rad, turned by the steering, except the share ``skeg`` of an outboard's, which is
+    the keel's end and stands still: without it, a planing hull drifts as far as the helm is over, and skids.
+    ``damping`` N s/m, ``damping_quadratic``, ``reference_area``, ``normal_force``, ``impact``, ``planing`` and
+    ``added_mass``: see `Hull`; ``wetted_centre`` (x, m) and ``wetted_radius`` (root mean square of x, m) of the wetted
+    surface carry the resistance over to ``planar``, and ``impact_drag`` (2,) N s^2/m^2, ahead and across, what
+    ``impact`` and ``planing`` add to it. ``wetted_length`` m and ``wetted_area`` m^2 of the hull at rest add the
+    friction of ITTC 1957, times 1 + ``form_factor``. With ``chine_beam`` m, ``deadrise`` rad and the end of the keel at
+    the ``transom`` (x, z), m from the centre of mass, the boat planes as Savitsky's hulls: see
+    `vehsim.vehicles.definition.resistance`; ``running_centre`` and ``running_radius`` m take the place of those of the
+    wetted surface when it does.
     Wind: ``wind_area`` seen from ahead and from the side, m^2, pushed at ``wind_centre``, ``wind_coefficient``.
     """
     places = [tuple(map(float, place)) for place in thrusters]
@@ -130,11 +134,14 @@ def boat(
         if rudder_area > 0:
             depth = sum((immersion[k] for k in range(len(places))), ca.SX(0)) / len(places)
             local = flow[3:6] + ca.cross(flow[0:3], along)
-            # lift across the fin: area times slope times speed times the lateral speed; no stall and no drag
-            fin = ca.vertcat(ca.sin(angle), ca.cos(angle), 0)
             speed = ca.sqrt(local[0] ** 2 + local[1] ** 2 + 1e-4)
-            force = -0.5 * SEA_WATER * rudder_area * rudder_slope * depth * speed * ca.dot(local, fin) * fin
-            wrench += ca.vertcat(ca.cross(along, force), force)
+            still = skeg if outboard else 0.0
+            for share, turned in ((1 - still, angle), (still, 0.0)):
+                # lift across the fin: area times slope times speed times the lateral speed; no stall and no drag
+                fin = ca.vertcat(ca.sin(turned), ca.cos(turned), 0)
+                area = share * rudder_area * depth
+                force = -0.5 * SEA_WATER * area * rudder_slope * speed * ca.dot(local, fin) * fin
+                wrench += ca.vertcat(ca.cross(along, force), force)
         return wrench
 
     def windage(air: Expr) -> Expr:

@@ -423,19 +423,18 @@ class Afloat(Environment):
             return wet, wet
         keel, up_by = self._keel[: len(columns)], columns[:, PLACE] @ up
         deep = columns[:, DEPTH] + up_by - columns[:, 0] * up[0] - keel * up[2]
-        down = -float(columns[self._lowest[: len(columns)], THROUGH.stop - 1].mean())
-        rise = lift.risen(deep, columns[:, PLACE], keel, columns[:, THROUGH], down)
+        lowest = self._lowest[self._lowest < len(columns)]
+        rise = lift.risen(deep, columns[:, PLACE], keel, columns[:, THROUGH], lowest)
         columns[:, RISEN], columns[:, BELOW] = columns[:, DEPTH] + rise, deep + rise
         below, sides = faces[bottom], wetted(columns, faces[~bottom])
         return wetted(columns, below) + sides, wetted(columns, below, RISEN) + sides
 
     @cached_property
-    def _lowest(self) -> NDArray[np.bool_]:
-        """Whether each node of `mesh` is on its bottom."""
+    def _lowest(self) -> NDArray[np.int64]:
+        """The nodes of `mesh` that are on its bottom, from the stern to the bow."""
         nodes, faces = self.mesh.quadratic
-        found = np.zeros(len(nodes), bool)
-        found[faces[self.mesh.bottom]] = True
-        return found
+        found = np.unique(faces[self.mesh.bottom])
+        return np.asarray(found[np.argsort(nodes[found, 0], kind="stable")])
 
     @cached_property
     def _keel(self) -> Array:
@@ -443,8 +442,8 @@ class Afloat(Environment):
         return self.mesh.keel(self.mesh.quadratic[0][:, 0])
 
     def surface(self, wet: Wetted, splashed: Wetted, lift: Lift) -> tuple[Array, float, float]:
-        """Body wrench (6,) of pressure and resistance on the ``wet`` surface and of planing pressure on the
-        ``splashed`` one; volume rate (m^3/s) and speed (m/s) of ``wet`` into the water."""
+        """Body wrench (6,) of pressure and resistance on the ``wet`` surface, and of planing pressure and the running
+        hull's resistance on the ``splashed`` one; volume rate (m^3/s) and speed (m/s) of ``wet`` into the water."""
         hull, rho = self.data, self.water.density
         middles, normals = wet.middles, wet.normals
         area = np.sqrt(np.einsum("ki,ki->k", normals, normals))
@@ -461,17 +460,22 @@ class Afloat(Environment):
             load = 0.5 * rho * hull.impact * speed**2
             load -= lift.missing(middles[:, :, 0]) * np.maximum(pressure + load, 0.0)
             force -= load[:, :, None] * over[:, None]
-        if np.any(hull.damping) or np.any(hull.quadratic) or lift.rate:
-            rate = np.add(hull.damping, (lift.rate, 0.0, 0.0))
+        if np.any(hull.damping) or np.any(hull.quadratic):
+            rate = np.asarray(hull.damping, float)
             if np.any(hull.quadratic):
                 size = np.sqrt(np.einsum("kqi,kqi->kq", through, through))
                 rate = rate + size[:, :, None] * np.asarray(hull.quadratic, float)
             force -= (area / self.reference_area)[:, None, None] * rate * through
         wrench = _total(force, middles)
+        if lift.planing or lift.rate:
+            middles, through = splashed.middles, splashed.middles[:, :, THROUGH]
+        if lift.rate:
+            area = np.sqrt(np.einsum("ki,ki->k", splashed.normals, splashed.normals))
+            force = -(lift.rate / self.reference_area) * area[:, None, None] * through * [1.0, 0.0, 0.0]
+            wrench += _total(force, middles)
         if lift.planing:
-            middles = splashed.middles
             over, speed = _entering(splashed, lift)
-            along = np.sqrt(np.einsum("kqi,kqi->kq", middles[:, :, THROUGH], middles[:, :, THROUGH]))
+            along = np.sqrt(np.einsum("kqi,kqi->kq", through, through))
             load = 0.5 * rho * lift.planing * speed * along * (1 - lift.missing(middles[:, :, 0]))
             if lift.rise:
                 load *= lift.peaked(middles[:, :, RISEN], middles[:, :, BELOW])

@@ -34,7 +34,7 @@ class Lift:
     With a ``transom`` (x, length) m, the bottom is that of a planing hull: this pressure and slamming act across the
     keel only, as on Savitsky's hulls; and a ``vented`` share of the pressure is missing at the transom, where the water
     leaves, and none from ``length`` ahead of it. Water rises along the bottom (Wagner 1932), by ``rise`` times the
-    depth of the keel below the undisturbed surface, and the planing pressure acts up to there; see `risen`.
+    depth of the keel below the undisturbed surface, and the planing pressure and ``rate`` act up to there; see `risen`.
     """
 
     planing: float = 0.0
@@ -43,17 +43,30 @@ class Lift:
     transom: tuple[float, float] | None = None
     rise: float = 0.0
 
-    def risen(self, deep: Array, places: Array, keel: Array, through: Array, down: float) -> Array:
-        """How much the water rises at ``places`` (n, 3) of the bottom, m, where the keel is ``deep`` (n,) m below the
-        undisturbed surface and at the heights ``keel`` (n,).
+    def risen(self, deep: Array, places: Array, keel: Array, through: Array, bottom: Any) -> Array:
+        """How much the water rises at ``places`` (n, 3) of a hull, m, where the keel is ``deep`` (n,) m below the
+        undisturbed surface and at the heights ``keel`` (n,). ``through`` (n, 3) m/s, and the indices ``bottom`` of the
+        bottom's places, from the stern to the bow.
 
-        Each half of a wedge has its own rise, in proportion to its speed into the water: a drifting or rolling hull has
-        more on one side, so that boats lean into turns. ``through`` (n, 3) m/s, and ``down`` m/s: that of the bottom
-        downwards.
+        Each half of a wedge has its own rise, in proportion to its own way into the water since the keel before it
+        went under: the depth of the keel, and what drift and roll add, so that boats lean into turns. A heave adds
+        nothing to it: a hull that rises is not wet further out.
         """
-        slope = (places[:, 2] - keel) / np.maximum(np.abs(places[:, 1]), 1e-9)
-        entering = slope * np.sign(places[:, 1]) * through[:, 1] - through[:, 2]
-        return self.rise * np.maximum(deep, 0.0) * np.maximum(entering / max(down, 1e-3), 0.0)
+        before, level = places[bottom, 0], deep[bottom]
+        under = np.flatnonzero(level > 0)
+        if not len(under):
+            return np.zeros(len(deep))
+        k = under[-1]
+        front = before[k]
+        if k + 1 < len(before):
+            front += (before[k + 1] - before[k]) * level[k] / (level[k] - level[k + 1])
+        y, rising = places[:, 1], through[:, 2]
+        rolling = (y[bottom] @ rising[bottom]) / max(float(y[bottom] @ y[bottom]), 1e-9)
+        slope = (places[:, 2] - keel) / np.maximum(np.abs(y), 1e-9)
+        aside = slope * np.sign(y) * through[:, 1] - rolling * y
+        speed = np.sqrt(np.einsum("ni,ni->n", through, through))
+        way = deep + aside * np.maximum(front - places[:, 0], 0.0) / np.maximum(speed, 1e-3)
+        return np.where(deep > 0, self.rise * np.maximum(way, 0.0), 0.0)
 
     def peaked(self, depth: Array, keel: Array) -> Array:
         """The pressure over its mean across the bottom, at a ``depth`` m below the risen water where the keel is
