@@ -20,6 +20,7 @@ PLACE = """(() => {
   return [box.left + (p.x + 1) / 2 * box.width, box.top + (1 - p.y) / 2 * box.height];
 })()"""
 SOLVED = "document.getElementById('status').textContent.endsWith(': solved')"
+UNSOLVED = "document.getElementById('status').textContent.endsWith(': not solved')"
 
 OPEN = f"typeof vehsim !== 'undefined' && vehsim.viewer && document.getElementById('message').hidden && {SOLVED}"
 
@@ -114,6 +115,29 @@ ON_TRACK = """((frame) => {
   const box = document.getElementById("track").getBoundingClientRect(), { first, last } = vehsim.viewer;
   return [box.left + box.width * (frame - first) / (last - first), box.top + box.height / 2];
 })(%d)"""
+
+
+def test_a_mark_without_a_motion_is_where_the_file_has_it_in_every_browser(tmp_path):
+    """The motion on the screen is the last one, which ends elsewhere."""
+    path = written(tmp_path, SHOT)
+
+    async def play():
+        async with served(path) as address, at(f"http://{address}", tmp_path / "first") as page:
+            await page.until(OPEN)
+            far = "kind: 'place', key: 'vehicle[0].motion.mark[1].position', position: [8, 90, 0], heading: 40"
+            await page.value(f"vehsim.live.send({{ {far} }})")
+            await page.until(UNSOLVED)
+            async with at(f"http://{address}", tmp_path / "second") as other:
+                await other.until(f"typeof vehsim !== 'undefined' && vehsim.viewer && {UNSOLVED}")
+                for each in (page, other):
+                    ring = await each.value(
+                        "[...vehsim.viewer.rings[1].position.toArray(), vehsim.viewer.rings[1].rotation.z]"
+                    )
+                    assert ring == pytest.approx([8, 90, 0, math.radians(40)])
+                    last = "vehsim.viewer.lines.get('car').geometry.attributes.position.array.at(-2)"
+                    assert await each.value(last) == pytest.approx(1)
+
+    asyncio.run(play())
 
 
 def test_scrubbing_a_mark_retimed_too_early_its_fix_and_the_bytes_of_an_export(tmp_path):
@@ -258,7 +282,7 @@ def test_a_mark_that_cannot_be_met_is_dragged_to_where_it_can(tmp_path):
             place = await page.value("vehsim.viewer.rings[1].position.toArray()")
             far = [place[0], place[1] + 15, 0]
             await page.value(f"vehsim.live.send({{ kind: 'place', key: {mark}.handle.key, position: {far} }})")
-            await page.until("document.getElementById('status').textContent.endsWith(': not solved')")
+            await page.until(UNSOLVED)
             await page.value("vehsim.live.send({ kind: 'add_mark', vehicle: 'car', frame: 1055 })")
             await page.until("vehsim.live.grips.length === 4")
             assert await page.value("vehsim.viewer.rings.every((ring) => !ring.visible)")

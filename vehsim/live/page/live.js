@@ -168,7 +168,7 @@
 
   const tip = (ring) => new THREE.Vector3(ring.userData.tip, 0, 0).applyMatrix4(ring.matrixWorld);
 
-  /** Pair each handle with its ring: a motion of the same marks draws theirs, all others are drawn here. A drag goes on. */
+  /** Pair each handle with its ring: a motion with as many marks draws theirs, all others are drawn here. A drag goes on. */
   function drawHandles() {
     const viewer = vehsim.viewer;
     if (!viewer || !state) return;
@@ -179,6 +179,10 @@
     const placed = marks.map(({ vehicle, frame }, k) => ({ vehicle, frame: frame === null && same ? viewer.marks[k].frame : frame }));
     viewer.setTicks([...placed, ...state.unplaced.map(({ vehicle, frame }) => ({ vehicle, frame }))]);
     for (const ring of viewer.rings) ring.visible = same;
+    if (same) marks.forEach(({ place, heading }, k) => { // where the file has them, also if it is not solved
+      viewer.rings[k].position.copy(viewer.local(place));
+      if (heading !== null) viewer.rings[k].rotation.z = heading / DEGREES;
+    });
     grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })) : [];
     grips.push(...own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) })));
     for (const grip of grips) {
