@@ -246,6 +246,9 @@ class StageScene(Scene):
             found[k] = self._at(frame, obstacles_only)
         return found
 
+    def swept(self, track: Track) -> None:
+        return None  # poses of parts are found frame by frame
+
     def _at(self, frame: float, obstacles_only: bool) -> float:
         solids: list[_Solid | _Ground] = [*self._standing, *(body.at(frame) for body in self._moving)]
         if self._terrain is not None and not obstacles_only:

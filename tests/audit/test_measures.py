@@ -381,6 +381,73 @@ def test_a_near_miss_between_frames_is_seen() -> None:
     assert row.met is False and row.frame is not None
 
 
+class Boom(Scene):
+    """A boom of 5 m on a body that drives past posts; its swing is known or, if ``blind``, unknown."""
+
+    reach = 0.0
+
+    def __init__(self, seed: int, blind: bool) -> None:
+        rng = np.random.default_rng(seed)
+        self.posts = np.column_stack([rng.uniform(0, 60, 6), rng.uniform(-9, 9, 6)])
+        self.rate, self.blind, self.measured = rng.uniform(0.5, 4.0), blind, 0
+        self.fastest = float(rng.choice([0.0, 3.0]))
+
+    def angles(self, track: Track) -> Any:
+        return 1.5 * np.sin(self.rate * (track.seconds - 1 / 24))
+
+    def away(self, track: Track, obstacles_only: bool) -> Any:
+        self.measured += len(track.frames)
+        angle = self.angles(track)
+        tips = track.positions[:, :2] + 5 * np.column_stack([np.cos(angle), np.sin(angle)])
+        shift = np.column_stack([0 * track.seconds, self.fastest * np.sin(track.seconds)])
+        return np.linalg.norm(tips[:, None] - (self.posts + shift[:, None]), axis=2).min(axis=1)
+
+    def swept(self, track: Track) -> Any:
+        steps = 5 * np.abs(np.diff(self.angles(track)))
+        return None if self.blind else np.concatenate([[0.0], np.cumsum(steps)])
+
+
+@pytest.mark.parametrize("blind", [False, True])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_least_clearance_is_found_without_measuring_every_frame(seed: int, blind: bool) -> None:
+    clip = flight(12.5)
+    n = len(clip)
+    driving = replace(
+        clip,
+        positions=np.column_stack([5.0 * clip.times, np.zeros(n), np.zeros(n)]),
+        orientations=np.tile([1.0, 0, 0, 0], (n, 1)),
+        twists=np.tile([0, 0, 0, 5.0, 0, 0], (n, 1)),
+    )
+    scene, track = Boom(seed, blind), track_of_clip(driving)
+    whole = np.abs(track.frames - np.round(track.frames)) < 1e-6
+    truth = scene.away(track, False)
+    for least in (0.1, 2.0):
+        scene.measured = 0
+        found = MEASURES["clearance"](track, {"clearance": least, "obstacles_only": False, "slope": 0.0}, scene)
+        known = ~np.isnan(found)
+        assert np.array_equal(found[known], truth[known])
+        assert np.nanmin(found) <= truth[whole].min()
+        if not blind and truth.min() < least:  # and wherever it is missed, between frames too
+            assert np.nanmin(found) == truth.min()
+        assert blind or least > 1 or scene.measured < whole.sum() / 2
+
+
+def test_parts_sweep_at_least_as_far_as_they_come_nearer() -> None:
+    """A truck's trailer turns while the truck stands beside a box."""
+    from vehsim.world.obstacles.obstacles import box
+
+    truck = vehsim.load_vehicle("truck")
+    still = replace(standing((0.0, 0.0, 0.0)), vehicle=truck)
+    hitch = 0.9 * np.sin(5 * still.times)
+    zero = np.zeros((len(hitch), len(truck.joints)))
+    clip = replace(still, joints=zero, joint_rates=zero, channels={"hitch_1": hitch})
+    world = World(obstacles=[box("shed", (-8.0, 6.0, 1.5), (3.0, 1.0, 3.0))])
+    scene, track = WorldScene(world, truck), track_of_clip(clip)
+    away, swept = scene.away(track, True), scene.swept(track)
+    assert np.ptp(away) > 0.5
+    assert (np.abs(np.diff(away)) <= np.diff(swept) + 1e-9).all()
+
+
 def nodding(yaw_rate: float = 0.0) -> Any:
     """The stage's poses of a car that stands on a slope, nods on its springs, and turns at ``yaw_rate`` rad/s."""
     frames = 1 + np.arange(385) / 8

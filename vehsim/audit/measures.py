@@ -8,7 +8,6 @@ its heading, because the ground and its springs determine the rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,9 @@ Array = NDArray[np.float64]
 Wanted = Mapping[str, Any]
 
 Measure = Callable[[Track, Wanted, Scene], Array]
+
+STRIDE = 16
+"""Frames between the first distances to terrain and obstacles; between them it is measured where it may be least."""
 
 
 def _position(track: Track, wanted: Wanted, scene: Scene) -> Array:
@@ -283,29 +285,51 @@ def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
             away = away + least * (1 - near)
         return away + part.blur.position
 
-    found = _on_frames(track, measured)
-    known = np.flatnonzero(np.isfinite(found))
-    if not len(known):
-        return found
+    swept = scene.swept(track)
     moved = np.concatenate([[0.0], np.cumsum(_norms(np.diff(track.positions, axis=0)))])
     turned = np.concatenate([[0.0], np.cumsum(_norms(track.omegas[1:]))]) / (PER_FRAME * float(track.fps))
-    others = scene.fastest / float(track.fps)
-    for a, b in pairwise(known):
-        travelled = (1 + wanted["slope"]) * (moved[b] - moved[a])
-        approach = travelled + scene.reach * (turned[b] - turned[a]) + others * (b - a) / PER_FRAME
-        if (found[a] + found[b] - approach) / 2 < least and b > a + 1:
-            rows = np.arange(a + 1, b)
+    others = scene.fastest / float(track.fps) * np.arange(len(moved)) / PER_FRAME
+    way = (1 + wanted["slope"]) * moved + scene.reach * turned + others + (0.0 if swept is None else swept)
+
+    def lower(a: NDArray[np.intp], b: NDArray[np.intp]) -> Array:
+        """A lower bound of the distances between two samples each."""
+        sure = found - track.blur.position
+        return np.asarray((sure[a] + sure[b] - (way[b] - way[a])) / 2)
+
+    whole = _whole(track)
+    found = np.full(len(track.frames), np.nan)
+    rows = np.union1d(whole[:: 1 if swept is None else STRIDE], whole[-1:])
+    while len(rows):
+        found[rows] = measured(track._select(rows))
+        known = whole[~np.isnan(found[whole])]
+        finite = found[known][np.isfinite(found[known])]
+        needed = max(least, float(finite.min(initial=np.inf)))
+        a, b = known[:-1], known[1:]
+        unsure = (lower(a, b) < needed) | np.isinf(found[a]) | np.isinf(found[b])
+        place = np.searchsorted(whole, known)
+        middle = (place[:-1] + place[1:]) // 2
+        rows = whole[middle[unsure & (middle > place[:-1])]]
+    known = np.flatnonzero(np.isfinite(found))
+    near = lower(known[:-1], known[1:]) < least
+    for a, b in zip(known[:-1][near], known[1:][near], strict=True):
+        rows = np.arange(a + 1, b)
+        if len(rows):
             found[rows] = measured(track._select(rows))
     return found
 
 
 def _on_frames(track: Track, measured: Callable[[Track], Array]) -> Array:
     """An expensive value on whole frames and at both ends; nan between."""
-    found = np.full(len(track.frames), np.nan)
+    found, whole = np.full(len(track.frames), np.nan), _whole(track)
+    found[whole] = measured(track._select(whole))
+    return found
+
+
+def _whole(track: Track) -> NDArray[np.intp]:
+    """The samples on whole frames, and both ends."""
     whole = np.abs(track.frames - np.round(track.frames)) < 1e-6
     whole[[0, -1]] = True
-    found[whole] = measured(track._select(np.flatnonzero(whole)))
-    return found
+    return np.flatnonzero(whole)
 
 
 def _angles(R: Array, others: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +27,11 @@ class Scene:
         """Signed distance (n,) m of the vehicle to terrain and obstacles at every sample; negative inside."""
         return np.full(len(track.frames), np.inf)
 
+    def swept(self, track: Track) -> Array | None:
+        """How far any point of the vehicle's parts has moved against its body since the first sample, at most, (n,) m;
+        None if that is not known."""
+        return np.zeros(len(track.frames))
+
     def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
         """Height (n,) m above the ground of the wheel with the largest gap; nan if there are no wheels."""
         return np.full(len(track.frames), np.nan)
@@ -42,7 +47,9 @@ class WorldScene(Scene):
             begin = other.clip.start_frame / float(other.clip.fps)
             _, _, velocities, omegas = other.motion_at(begin + other.clip.times)
             speeds = np.linalg.norm(velocities, axis=1) + _reach(other.clip.vehicle) * np.linalg.norm(omegas, axis=1)
-            self.fastest = max(self.fastest, float(speeds.max(initial=0.0)))
+            turning = np.diff(_swept(other.clip.vehicle, other.channels_at(begin + other.clip.times), len(speeds)))
+            swinging = float((turning / np.diff(other.clip.times)).max(initial=0.0))
+            self.fastest = max(self.fastest, float(speeds.max(initial=0.0)) + swinging)
 
     def away(self, track: Track, obstacles_only: bool) -> Array:
         from vehsim.lie.quaternions import quaternions
@@ -51,6 +58,9 @@ class WorldScene(Scene):
             return super().away(track, obstacles_only)
         poses = track.positions, quaternions(track.rotations)
         return _away(self.world, self.vehicle, *poses, track.seconds, track.channels, obstacles_only)
+
+    def swept(self, track: Track) -> Array:
+        return _swept(self.vehicle, track.channels, len(track.frames))
 
 
 def can_hit(vehicle: Any, world: Any) -> bool:
@@ -77,6 +87,17 @@ def _away(
             walls = world.clearance_from_walls(vehicle, positions, orientations, channels)
         return np.minimum(found.min(axis=1, initial=np.inf), walls)
     return np.asarray(world.clearance(vehicle, positions, orientations, seconds, channels))
+
+
+def _swept(vehicle: Any, channels: Mapping[str, Array], count: int) -> Array:
+    """How far trailers and discs have moved against their vehicle since the first of ``count`` samples, at most, m."""
+    from vehsim.world.obstacles.articulated import swings_of
+
+    moved = np.zeros(count)
+    for name, far in swings_of(vehicle).items() if channels else ():
+        if name in channels:
+            moved[1:] += far * np.cumsum(np.abs(np.diff(channels[name])))
+    return moved
 
 
 def _reach(vehicle: Any) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie import SO3
-from vehsim.planning.certificates import FINEST, SAMPLES, certify
+from vehsim.planning.certificates import FINEST, certify
 from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.spheres import sphere_cover, surface_by_sphere
 from vehsim.planning.problem.elements import Element, NonlinearProgram, SpatialField, second_order
@@ -337,7 +337,9 @@ class Clearance(Block):
         if not request.hazards:
             return Finding()
         less = forgiven(request.marks, max(request.clearance, SLACK))
-        nearest = certify(clip, request.world, SAMPLES, progress, less, SLOPE * bool(landings(request.marks)))
+        nearest = certify(
+            clip, request.world, progress=progress, less=less, slope=SLOPE * bool(landings(request.marks))
+        )
         return Finding(nearest, wanted, bool(nearest >= wanted - SLACK))
 
     def tighten(self, trajectory: Trajectory, finding: Finding) -> Clearance:

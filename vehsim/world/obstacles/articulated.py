@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vehsim.rig.linkage import screws
 from vehsim.rig.rig import Drive, Rig
-from vehsim.runtime.cache import Stamp
+from vehsim.runtime.cache import Stamp, kept_arrays
 from vehsim.world.obstacles.obstacles import asset_of, footprint, seen_from_above
 from vehsim.world.obstacles.plane import distance
 
@@ -99,13 +99,12 @@ def swings_of(vehicle: Any) -> Mapping[str, float]:
 def _read_swings(
     asset: Path, root: str | None, written: Stamp, drives: tuple[tuple[str, Drive], ...], turning: frozenset[str]
 ) -> Mapping[str, float]:
-    from scipy.spatial import ConvexHull
-
     from vehsim.rig.parts import solids
 
     rig = Rig(asset, root or "", drives=dict(drives))
     parts = {solid.path: np.vstack(solid.hulls) for solid in solids(asset, root) if solid.hulls}
-    whole = ConvexHull(np.vstack(list(parts.values()))).equations
+    corners = np.vstack(list(parts.values()))
+    [whole] = kept_arrays("swings", [corners], lambda: [_facets(corners)])
     reach: dict[str, float] = {}
     prims = {drive.prim for channel, drive in drives if channel in turning}
     for path, points in parts.items():
@@ -121,6 +120,13 @@ def _read_swings(
                 if (moved @ whole[:, :3].T + whole[:, 3]).max() > ASIDE:
                     prims.add(screw.prim)
     return MappingProxyType({name: reach[name] for name, drive in drives if drive.prim in prims and name in reach})
+
+
+def _facets(points: Array) -> Array:
+    """Outward normals and offsets (m, 4) of the facets of a convex hull of points (n, 3) m."""
+    from scipy.spatial import ConvexHull
+
+    return np.asarray(ConvexHull(points).equations)
 
 
 @lru_cache(maxsize=32)
