@@ -130,14 +130,16 @@ class Canvas:
         mujoco.mjr_readPixels(None, depth, mujoco.MjrRect(0, 0, *size), self._context)
         return depth
 
-    def draw_ids(self, size: tuple[int, int]) -> NDArray[np.int64]:
-        """The visible opaque geom (h, w), -1 for none, from the bottom row up."""
-        self._draw(self.solid, size, SEGMENT=True, IDCOLOR=True)
+    def draw_ids(self, size: tuple[int, int], translucent: bool = False) -> NDArray[np.int64]:
+        """The visible opaque geom (h, w), -1 for none, from the bottom row up; or the ``translucent`` one that would be
+        visible, from either side, if there were no opaque ones."""
+        scene = self.glass if translucent else self.solid
+        self._draw(scene, size, SEGMENT=True, IDCOLOR=True, CULL_FACE=not translucent)
         colour = self._colour(size).astype(np.int32)
         # 0 is the background, then in the scene's order
         drawn = colour[..., 0] + 256 * colour[..., 1] + 65536 * colour[..., 2]
-        geoms = np.full(self.solid.ngeom + 1, -1)
-        for geom in self.solid.geoms[: self.solid.ngeom]:
+        geoms = np.full(scene.ngeom + 1, -1)
+        for geom in scene.geoms[: scene.ngeom]:
             geoms[geom.segid + 1] = geom.objid
         geoms[0] = -1
         return geoms[drawn]

@@ -4,6 +4,9 @@ Every pixel's point is moved from the depth buffer onto the triangle that it sho
 not to the steps of the buffer. Flow is in pixels, u to the right and v up, to the place of the same point of the same
 part one frame later (forward) and earlier (backward). Water moves with the points of its surface, the sky with the
 camera's rotation. Beyond the first and the last frame nothing moves.
+
+A second layer has the flow of what is translucent in front of that: glass, blurred rotors, which turn with their
+rotors, and spray, whose drops move with their velocities.
 """
 
 from __future__ import annotations
@@ -15,14 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
+from vehsim.exporters.pictures.spray import LARGEST, PUFF
 
 if TYPE_CHECKING:
     from vehsim.exporters.usd.stage import StageReader, View
 
 Array = NDArray[np.float64]
 
-CHANNELS = {"flow": ("forward.u", "forward.v", "backward.u", "backward.v"), "normals": ("N.X", "N.Y", "N.Z")}
-"""Pass -> channels of its EXR files."""
+_FLOW = ("forward.u", "forward.v", "backward.u", "backward.v")
+CHANNELS = {"flow": (*_FLOW, *(f"translucent.{name}" for name in _FLOW)), "normals": ("N.X", "N.Y", "N.Z")}
+"""Pass -> channels of its EXR files; those of what is translucent only where a stage has that."""
 NEAR = 0.05
 """Largest distance of a pixel's point from the triangle that it shows, m: farther away, the depth buffer is kept."""
 
@@ -96,6 +101,45 @@ class Pixels:
             steps = self._stage.water_at(frame)[0] - self._water_points
             moved[self._water, :3] += np.einsum("nk,nki->ni", weights, steps[corners])
         return _pixels(view, moved, self._size) - _pixels(self._view, self.points, self._size)
+
+
+def drops_seen(stage: StageReader, camera: str, frame: float, away: Array) -> NDArray[np.int64]:
+    """The nearest drop of spray (h, w) in front of what is ``away`` (h, w) m along the view, -1 for none."""
+    view, (h, w) = stage.camera(camera, frame), away.shape
+    places, _, widths = stage.spray_at(frame)
+    depth = (view.T_wc[:3, 3] - places) @ view.T_wc[:3, 2]
+    column, row = _columns_and_rows(view, places, (w, h))
+    radius = np.clip(PUFF * widths * w / (2 * view.half_width) / np.maximum(depth, 1e-9), 0.7, LARGEST)
+    ahead = np.flatnonzero((depth > 0.2) & (np.abs(column) < 2 * w) & (np.abs(row) < 2 * h))
+    found, nearest = np.full((h, w), -1), away.copy()
+    for k in ahead[np.argsort(depth[ahead])].tolist():
+        rows = np.arange(max(0, int(row[k] - radius[k])), min(h, int(row[k] + radius[k]) + 1))
+        columns = np.arange(max(0, int(column[k] - radius[k])), min(w, int(column[k] + radius[k]) + 1))
+        part = np.ix_(rows, columns)
+        near = (rows[:, None] + 0.5 - row[k]) ** 2 + (columns + 0.5 - column[k]) ** 2 <= radius[k] ** 2
+        near &= nearest[part] > depth[k]
+        found[part] = np.where(near, k, found[part])
+        nearest[part] = np.where(near, depth[k], nearest[part])
+    return found
+
+
+def drop_flow(stage: StageReader, camera: str, frame: float, other: float, seen: NDArray[np.int64]) -> Array:
+    """Pixels (h, w, 2) from the drops that are ``seen`` (h, w), see `drops_seen`, to where they are at another time
+    code; NaN elsewhere."""
+    places, velocities, _ = stage.spray_at(frame)
+    size = seen.shape[1], seen.shape[0]
+    steps = _columns_and_rows(
+        stage.camera(camera, other), places + velocities * ((other - frame) / float(stage.fps)), size
+    ) - _columns_and_rows(stage.camera(camera, frame), places, size)
+    flow = np.full((*seen.shape, 2), np.nan)
+    flow[seen >= 0] = (steps * [[1.0], [-1.0]]).T[seen[seen >= 0]]
+    return flow
+
+
+def _columns_and_rows(view: View, points: Array, size: tuple[int, int]) -> Array:
+    """Columns from the left and rows from the top (2, n), in pixels, of world points (n, 3)."""
+    u, v = _pixels(view, np.column_stack([points, np.ones(len(points))]), size).T
+    return np.stack([size[0] / 2 + u, size[1] / 2 - v])
 
 
 def write_exr(values: NDArray[Any], kind: str, path: Path) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from vehsim.exporters.pictures.canvas import CASTING, OPAQUE, TRANSLUCENT, Canvas, Picture
 from vehsim.exporters.pictures.contact_shade import Shades
 from vehsim.exporters.pictures.grain import grained, strengths_of
-from vehsim.exporters.pictures.motion_passes import Pixels
+from vehsim.exporters.pictures.motion_passes import Pixels, drop_flow, drops_seen
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.spray import draw_spray
 from vehsim.exporters.pictures.water import ON_WATER, WaterView, distance_of, places_of
@@ -110,10 +110,11 @@ class StageRenderer:
 
     def passes(self, camera: str, frame: float, kinds: Sequence[str]) -> dict[str, NDArray[Any]]:
         """The passes ``kinds`` of a picture: "depth" (height, width) m along the view, 0 for the background;
-        "segmentation", the prims' colours (height, width, 3); "flow" (height, width, 4) and "normals" (height, width,
-        3) of `motion_passes`.
+        "segmentation", the prims' colours (height, width, 3); "flow" (height, width, 4 or 8) and "normals" (height,
+        width, 3) of `motion_passes`.
 
-        Translucent surfaces are ignored. Prims are those of `prims`, coloured by `passes.prim_colours`.
+        Translucent surfaces have flow only, in channels of their own. Prims are those of `prims`, coloured by
+        `passes.prim_colours`.
         """
         self._pose(camera, frame)
         if self._water is not None:
@@ -135,8 +136,33 @@ class StageRenderer:
             first, last = self.stage.frames
             beside = [min(max(frame + step, first), last) for step in (1, -1)] if "flow" in kinds else []
             flows = [pixels.flow(at) for at in beside]
+            flows += self._translucent(camera, frame, of_shape, away.astype(float), beside)
             drawings["flow"] = np.concatenate(flows, axis=-1) if flows else pixels.normals
         return {kind: drawings[kind] for kind in kinds}
+
+    def _translucent(
+        self, camera: str, frame: float, of_shape: NDArray[np.int64], away: Array, beside: Sequence[float]
+    ) -> list[Array]:
+        """Flow (h, w, 2) to each of the time codes ``beside`` of what is translucent in front of opaque things that are
+        ``away`` (h, w) m, and of spray in front of that; NaN elsewhere. None if the stage has neither."""
+        glass = (self._model.geom_group != OPAQUE).any()
+        if not beside or not (glass or self.stage.spray):
+            return []
+        shown, front = np.full(away.shape, -1), away.copy()
+        if glass:
+            of_geom, depth = self._canvas.draw_ids(self.size, True)[::-1], self._canvas.depth(self.size)[::-1]
+            distance = distance_of(depth, self._drawn(self.stage.camera(camera, frame).clip))
+            seen = (of_geom >= 0) & (distance < away)
+            shown, front = np.where(seen, of_shape[of_geom], -1), np.where(seen, distance, away).astype(float)
+        pixels = Pixels(self.stage, camera, frame, shown, front)
+        drops = drops_seen(self.stage, camera, frame, front) if self.stage.spray else np.full(away.shape, -1)
+        found = []
+        for at in beside:
+            flow = np.where((shown >= 0)[..., None], pixels.flow(at), np.nan)
+            if self.stage.spray:
+                flow = np.where((drops >= 0)[..., None], drop_flow(self.stage, camera, frame, at, drops), flow)
+            found.append(flow)
+        return found
 
     @property
     def prims(self) -> list[str]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image
+from pxr import Gf, Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 from vehsim.errors import InputError
 from vehsim.exporters.pictures.frames import render_stage
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.usd.exporter import write_usd
+from vehsim.rig.rig import Drive
 
 OpenEXR = pytest.importorskip("OpenEXR")
 SIZE, FRAME = (240, 136), 1012
@@ -123,6 +125,61 @@ def test_the_ground_moves_with_the_camera_and_the_sky_with_its_rotation(rendered
     points = view[:3, 3] - rays[below] * view[2, 3] / rays[below, 2:]
     expected = pixels(points, other, camera) - pixels(points, view, camera)
     assert np.mean(np.linalg.norm(found[below] - expected, axis=1) < 0.05) > 0.5, "all pixels but the toy's"
+
+
+def test_translucent_discs_and_spray_have_flow_of_their_own(tmp_path, toys, make_take):
+    """Through them, the first layer shows what is behind. The expected flow is that of points where rays meet the
+    disc's plane, moved by the rotor's pose, and of drops moved by their velocities."""
+    rotor = {"rotor": Drive("rotor", "rotateZ", disc=True)}
+    clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"), drives=rotor)
+    take = make_take(clip)
+    write_usd(take, tmp_path, toys.silent)
+    stage = Usd.Stage.CreateNew(str(tmp_path / "disc.usda"))
+    stage.GetRootLayer().subLayerPaths = ["shot.usda"]
+    stage.SetStartTimeCode(toys.frames[0])
+    stage.SetEndTimeCode(toys.frames[1])
+    stage.SetFramesPerSecond(24)
+    stage.SetTimeCodesPerSecond(24)
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(stage.GetPrimAtPath("/shot"))
+    stage.GetPrimAtPath("/shot/vehicles/toy0").GetVariantSets().SetSelection("rotor", "disc")
+    camera = take.cameras[0]
+    here, view = poses(clip, camera, FRAME)
+    drop = view[:3, 3] + view[:3, :3] @ [1.5, 1.0, -8.0]
+    speed = np.array([3.0, -2.0, 4.0])
+    points = UsdGeom.Points.Define(stage, "/shot/spray")
+    points.CreatePointsAttr([Gf.Vec3f(*drop.tolist())])
+    points.CreateVelocitiesAttr([Gf.Vec3f(*speed.tolist())])
+    points.CreateWidthsAttr([0.1])
+    stage.Save()
+    render_stage(tmp_path / "disc.usda", tmp_path / "out", frames=[FRAME], size=SIZE, passes=["flow"])
+    flow = planes(tmp_path / "out" / camera.name / "flow" / f"disc.{camera.name}.flow.{FRAME}.exr")
+    scale = camera.aperture_mm[0] / camera.lens_mm / SIZE[0]
+    for name, step in (("forward", 1), ("backward", -1)):
+        found = np.stack([flow[f"translucent.{name}.{axis}"] for axis in "uv"], axis=-1)
+        behind = np.stack([flow[f"{name}.{axis}"] for axis in "uv"], axis=-1)
+        there, other = poses(clip, camera, FRAME + step)
+        u, v = pixels(drop[None], view, camera)[0]
+        expected = pixels(drop[None] + speed * step / 24, other, camera)[0] - (u, v)
+        row, column = int(SIZE[1] / 2 - v), int(SIZE[0] / 2 + u)
+        assert np.abs(found[row, column] - expected).max() < 0.01
+        seen = np.isfinite(found[..., 0])
+        seen[row - 8 : row + 9, column - 8 : column + 9] = False
+        rows, columns = np.nonzero(seen)
+        own = np.stack([(columns + 0.5 - SIZE[0] / 2) * scale, (SIZE[1] / 2 - rows - 0.5) * scale], axis=1)
+        rays = np.column_stack([own, -np.ones(len(own))]) @ view[:3, :3].T
+        part = here["rotor/rotor"]
+        eye, turned = (view[:3, 3] - part[:3, 3]) @ part[:3, :3], rays @ part[:3, :3]
+        across = eye - turned * (eye[2] / turned[:, 2])[:, None]
+        radius = np.linalg.norm(across[:, :2], axis=1)
+        assert len(rows) > 200 and radius.min() > 0.1 * 2.408 * 0.95 and radius.max() < 2.408 * 1.05
+        rigid = there["rotor/rotor"]
+        moved = pixels(across @ rigid[:3, :3].T + rigid[:3, 3], other, camera)
+        at = pixels(across @ part[:3, :3].T + part[:3, 3], view, camera)
+        off = np.linalg.norm(found[rows, columns] - (moved - at), axis=1)
+        assert np.mean(off < 0.05) > 0.99 and np.linalg.norm(moved - at, axis=1).max() > 20, off.max()
+        assert np.isfinite(behind).all() and np.abs(behind - found)[rows, columns].max() > 5
 
 
 def test_nothing_moves_before_the_first_frame(rendered):
