@@ -220,7 +220,7 @@ class StageScene(Scene):
 
     def _treads(self, prims: Sequence[str]) -> list[list[tuple[Any, Array]]]:
         """For each wheel its meshes with the points (n, 3), in their own units, that can touch the ground."""
-        first, spread = float(self.delivered.frames[0]), lru_cache(_spread_bytes)  # wheels often are one mesh
+        first = float(self.delivered.frames[0])
         found = []
         for path in prims:
             wheel = self._root.GetPrimAtPath(path) if path else self._root
@@ -228,7 +228,7 @@ class StageScene(Scene):
             worlds = [self.delivered.world_matrix(mesh, first) for mesh in meshes]
             sizes = [max(float(np.cbrt(abs(np.linalg.det(world[:3, :3])))), 1e-12) for world in worlds]
             own = [
-                spread(points.tobytes(), faces.tobytes(), round(RIM / size, 9))
+                _spread_bytes(points.tobytes(), faces.tobytes(), round(RIM / size, 9))
                 for mesh, size in zip(meshes, sizes, strict=True)
                 for points, faces in [self.delivered.triangles(mesh, first)]
             ]
@@ -560,8 +560,9 @@ def _hull(points: Array) -> tuple[Array, Ints]:
     return points, faces.astype(np.int64)
 
 
+@lru_cache(maxsize=16)
 def _spread_bytes(points: bytes, faces: bytes, spacing: float) -> Array:
-    """`_spread`, of arrays as bytes."""
+    """`_spread`, of arrays as bytes: wheels often are one mesh, and are measured again after an edit."""
     return _spread(np.frombuffer(points).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3), spacing)
 
 

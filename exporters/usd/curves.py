@@ -119,11 +119,16 @@ def fit(frames: Array, values: Array, tolerance: float, earlier: Curve | None = 
     From key to key, the longest segment that fits is chosen. Both ends of a standstill are keys. Segments of an
     ``earlier`` curve that show the values, up to a constant, are kept.
     """
+    return _fit(frames, values, tolerance, earlier, None if earlier is None else earlier(frames))
+
+
+def _fit(frames: Array, values: Array, tolerance: float, earlier: Curve | None, shown: Array | None) -> Curve:
+    """`fit`, with the values ``shown`` (n,) by the earlier curve."""
     values = np.asarray(values, float)
     if len(frames) == 1 or np.ptp(values) == 0:
         return Curve(frames[:1], values[:1], np.zeros((1, 2)), np.zeros((1, 2)))
     slopes = _slopes(values, tolerance)
-    kept = {} if earlier is None else _kept(earlier, frames, values, slopes, tolerance)
+    kept = {} if earlier is None or shown is None else _kept(earlier, shown, frames, values, slopes, tolerance)
     keys, segments = [0], []
     for stop in sorted({*_standstills(values), *kept, *(end for end, _ in kept.values())}):
         while keys[-1] < stop:
@@ -145,7 +150,7 @@ def fit(frames: Array, values: Array, tolerance: float, earlier: Curve | None = 
 
 
 def _kept(
-    earlier: Curve, frames: Array, values: Array, slopes: Array, tolerance: float
+    earlier: Curve, shown: Array, frames: Array, values: Array, slopes: Array, tolerance: float
 ) -> dict[int, tuple[int, _Tangents]]:
     """First index -> last index and tangents of the segments of an ``earlier`` curve that show ``values`` (n,) up to a
     constant: what accumulates, such as the angle of a wheel, is shifted behind an edit."""
@@ -154,7 +159,7 @@ def _kept(
     whole = (rows >= 0) & (rows < len(frames))
     whole &= np.abs(earlier.frames - frames[np.clip(rows, 0, len(frames) - 1)]) < 1e-9
     usable = whole[:-1] & whole[1:] & (widths >= 0).all(axis=0) & (widths.sum(axis=0) <= lengths * (1 + 1e-9))
-    off, same, found = values - earlier(frames), SAME * tolerance, {}
+    off, same, found = values - shown, SAME * tolerance, {}
     for k in np.flatnonzero(usable).tolist():
         a, b = int(rows[k]), int(rows[k + 1])
         own = np.array([earlier.slopes[k, 1], earlier.slopes[k + 1, 0]]) / INSTANTS
@@ -372,10 +377,11 @@ def _fit_together(
 ) -> list[Curve]:
     """Curves of the columns of ``values`` whose joint error is within ``tolerance``: each within the same share of it,
     which is lowered as far as necessary."""
-    share = 1.0
+    share, shown = 1.0, [None if before is None else before(frames) for before in earlier]
     while True:
         within = share * tolerance
-        curves = [fit(frames, column, within, before) for column, before in zip(values.T, earlier, strict=True)]
+        columns = zip(values.T, earlier, shown, strict=True)
+        curves = [_fit(frames, column, within, before, values_before) for column, before, values_before in columns]
         largest = float(error(curves).max())
         if largest <= tolerance or share < 1e-3:
             return curves

@@ -18,7 +18,7 @@ from vehsim.exporters.usd.exporter import write_usd
 from vehsim.exporters.usd.readback import world_matrices
 from vehsim.rig.edited import parts_moved
 from vehsim.rig.rig import Drive
-from vehsim.rig.tolerances import curve_tolerances
+from vehsim.rig.tolerances import curve_tolerances, reaches
 from vehsim.vehicles import load_vehicle
 
 TOLERANCE, ANGLE = 0.001, 0.05
@@ -77,6 +77,16 @@ def test_without_an_angle_a_part_may_move_its_rim_by_the_tolerance(tmp_path, toy
         errors.append(np.abs(np.radians([spline.Eval(frame) for frame in frames.tolist()]) - wanted).max())
     assert errors[0] <= np.radians(ANGLE) and keys[1] < keys[0]
     assert np.radians(ANGLE) < errors[1] <= distance / np.hypot(1.2, 0.1)
+
+
+def test_reaches_follow_an_asset_that_changes(tmp_path, toys):
+    """They are cached; the box of 2 x 1 m is made half as long in the same file."""
+    file = tmp_path / "toy.usda"
+    rig = toys.clip(toys.asset(file)).vehicle.rig
+    before = reaches(rig)
+    assert before == reaches(rig) and abs(before["rotor"] - np.hypot(2.4, 0.2)) < 1e-6
+    file.write_text(file.read_text().replace("2.4", "1.2"))
+    assert abs(reaches(rig)["rotor"] - np.hypot(1.2, 0.2)) < 1e-6
 
 
 def test_what_a_tolerance_permits_is_no_edit_of_a_part(tmp_path, toys, make_take):

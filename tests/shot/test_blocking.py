@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vehsim import Shot
 from vehsim.errors import InputError, ShotError
-from vehsim.rig.blocking import read_blocking, write_over
+from vehsim.rig.blocking import nearest_rotations, read_blocking, write_over
 
 FPS = Fraction(24)
 KEYS = {1001: ((0.0, 0.0, 10.0), 0.0), 1050: ((10.0, 4.0, 12.0), 30.0), 1100: ((20.0, -3.0, 9.0), -45.0)}
@@ -222,3 +222,22 @@ def test_a_shot_hits_its_blocking_and_reports_departures(tmp_path: Path) -> None
     over(tmp_path, "Y", 0.01, folder / "layers" / "heli.blocking.usdc")
     shown = read_blocking(tmp_path / "both.usda", "/World/heli", FPS)
     assert np.allclose(shown.positions, clip.positions, atol=1e-5)
+
+
+def test_the_nearest_rotations_are_those_of_a_singular_value_decomposition():
+    """For turns with a scale, which are common, and for shears and mirrors, for which no root suffices."""
+    random = np.random.default_rng(3)
+    turns = Rotation.random(60, random_state=3).as_matrix()
+    for matrices in (turns, 0.01 * turns, turns @ np.diag([1.0, 1.0, -1.0]), turns @ np.diag([1.0, 2.0, 1 + 1e-13])):
+        mixed = np.concatenate([matrices, matrices + 0.3 * random.normal(size=matrices.shape)])
+        u, _, v = np.linalg.svd(mixed)
+        u[..., -1] *= np.sign(np.linalg.det(u @ v))[:, None]
+        found = nearest_rotations(mixed)
+        assert np.abs(found @ found.swapaxes(1, 2) - np.eye(3)).max() < 1e-13 and (np.linalg.det(found) > 0).all()
+        assert (
+            np.abs(
+                np.trace(found.swapaxes(1, 2) @ mixed, axis1=1, axis2=2)
+                - np.trace((u @ v).swapaxes(1, 2) @ mixed, axis1=1, axis2=2)
+            ).max()
+            < 1e-12
+        )

@@ -33,6 +33,8 @@ CURVED = 0.05
 travel."""
 STOPPED = 0.1
 """A pose is a stop where the speed falls to this share of the speeds that it reaches before and after."""
+SHEARED = 1e-14
+"""A matrix whose columns have equal lengths and right angles, up to this share, is a rotation times a number."""
 MAX_FRAMES = 100_000
 NOSES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 OP = "xformOp:transform:vehsim"
@@ -295,20 +297,28 @@ def _world_matrices(stage: Any, prims: Sequence[Any], frames: Array) -> Array:
     for k, frame in enumerate(frames.tolist()):
         cache.SetTime(frame)
         for matrix, prim in zip(matrices, prims, strict=True):
-            matrix[k] = np.array(cache.GetLocalToWorldTransform(prim)).T
-            if not np.isfinite(matrix[k]).all():
-                said = f"its transform is not a number at frame {frame:g}"
-                file = stage.GetRootLayer().identifier
-                raise InputError(said, "fix its keys", key=str(prim.GetPath()), file=file)
+            matrix[k] = cache.GetLocalToWorldTransform(prim)
+    matrices = matrices.swapaxes(-1, -2)
+    wrong = np.argwhere(~np.isfinite(matrices).all(axis=(-1, -2)))
+    for j, k in wrong[:1].tolist():
+        said = f"its transform is not a number at frame {frames[k]:g}"
+        file = stage.GetRootLayer().identifier
+        raise InputError(said, "fix its keys", key=str(prims[j].GetPath()), file=file)
     return matrices
 
 
 def nearest_rotations(matrices: Array) -> Array:
     """The closest rotation to each matrix (..., 3, 3)."""
-    u, _, v = np.linalg.svd(matrices)
-    turn = np.sign(np.linalg.det(u @ v))
-    u[..., -1] *= turn[..., None]
-    return np.asarray(u @ v)
+    found = np.array(matrices, float)
+    square = np.swapaxes(found, -1, -2) @ found
+    size = np.trace(square, axis1=-2, axis2=-1) / 3
+    off = np.abs(square - size[..., None, None] * np.eye(3)).max(axis=(-2, -1))
+    turned = (off <= SHEARED * size) & (np.linalg.det(found) > 0)  # rotations and scales, as usual
+    found[turned] /= np.sqrt(size[turned])[..., None, None]
+    u, _, v = np.linalg.svd(found[~turned])
+    u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]
+    found[~turned] = u @ v
+    return found
 
 
 def _stretch(matrix: Array) -> Array:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vehsim.intake.usd import dependencies
 from vehsim.rig.parts import read_parts
+from vehsim.runtime.cache import content_of, kept
 
 if TYPE_CHECKING:
     from vehsim.rig.rig import Rig
@@ -41,7 +45,18 @@ def curve_tolerances(rig: Rig, distance: float, angle: float | None) -> Toleranc
 
 
 def reaches(rig: Rig) -> dict[str, float]:
-    """Distance, m, of the outermost point from the rig's root ("") and from each channel's axis or pivot."""
+    """Distance, m, of the outermost point from the rig's root ("") and from each channel's axis or pivot.
+
+    Cached by the content of the asset's files, because an edit is solved in little more time than they are read.
+    """
+    made_of = [(str(file), content_of(file)) for file in dependencies(rig.asset)[0]]
+    drives = sorted((channel, asdict(drive)) for channel, drive in rig.drives.items())
+    key = str(rig.asset), rig.root, made_of, str(drives)
+    found: dict[str, float] = json.loads(kept("reaches-1", key, lambda: json.dumps(_reaches(rig)).encode()))
+    return found
+
+
+def _reaches(rig: Rig) -> dict[str, float]:
     parts = {part.path: part for part in read_parts(rig.asset, rig.root or None)}
     clouds = {path: p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3] for path, p in parts.items() if len(p.points)}
     found = {"": max((float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.values()), default=1.0)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
@@ -169,13 +169,25 @@ class Shot:
         )
 
     def vehicle(self, table: VehicleTable) -> Vehicle:
-        """The vehicle of a ``[[vehicle]]`` table, with the requested variants. Raises ``InputError``."""
+        """The vehicle of a ``[[vehicle]]`` table, with the requested variants. Raises ``InputError``.
+
+        It is made once, because it keeps what is built of its laws.
+        """
         from vehsim.vehicles import load_vehicle
 
-        vehicle = load_vehicle(self._asset(table.asset), table.parameters)
-        if table.variants and vehicle.rig is not None:
-            vehicle = replace(vehicle, rig=replace(vehicle.rig, variants={**vehicle.rig.variants, **table.variants}))
-        return vehicle
+        key = table.name, table.asset, repr(table.parameters), repr(table.variants)
+        if key not in self._vehicles:
+            vehicle = load_vehicle(self._asset(table.asset), table.parameters)
+            if table.variants and vehicle.rig is not None:
+                variants = {**vehicle.rig.variants, **table.variants}
+                vehicle = replace(vehicle, rig=replace(vehicle.rig, variants=variants))
+            self._vehicles[key] = vehicle
+        return self._vehicles[key]
+
+    @cached_property
+    def _vehicles(self) -> dict[Hashable, Vehicle]:
+        """Those that were made, by what they are made of."""
+        return {}
 
     def check(self) -> list[Problem]:
         """All errors that can be found before solving; nothing is written. Warnings have their own severity."""
@@ -472,7 +484,7 @@ class Shot:
         """The shot with the motion that was edited."""
         vehicles = [table.unedited for table in self.file.vehicle]
         shot = Shot(self.file.model_copy(update={"vehicle": vehicles}), self.folder, self.source, self._lines)
-        vars(shot)["world"] = self.world
+        vars(shot).update(world=self.world, _vehicles=self._vehicles)
         return shot.without(self.left_out)
 
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:

@@ -183,19 +183,25 @@ def _author_ribbon(mesh: Any, ribbon: Ribbon, look: Look) -> None:
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*look.colour)])
     opacity = Vt.FloatArray.FromNumpy((look.opacity * strengths).astype(np.float32))
     primvars.CreatePrimvar("displayOpacity", types.FloatArray, vertex).Set(opacity)
-    mesh.CreateNormalsAttr([Gf.Vec3f(0, 0, 1)] * (2 * count))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray(2 * count, Gf.Vec3f(0, 0, 1)))
     mesh.SetNormalsInterpolation(vertex)
     origin = local_origin(ribbon.points.reshape(-1, 3).mean(axis=0))
     if origin.any():
         mesh.AddTranslateOp().Set(Gf.Vec3d(*origin.tolist()))
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
+    layer = mesh.GetPrim().GetStage().GetEditTarget().GetLayer()
     whole = np.arange(np.floor(ribbon.times[0]), np.ceil(ribbon.times[-1]) + 1)
-    for frame in [None, *whole.tolist()]:
-        at = () if frame is None else (frame,)
-        place = ribbon.points if frame is None else ribbon.at(frame)
-        single = (place - origin).astype(np.float32).reshape(-1, 3)
-        points.Set(Vt.Vec3fArray.FromNumpy(single), *at)
-        extent.Set(Vt.Vec3fArray.FromNumpy(np.stack([single.min(axis=0), single.max(axis=0)])), *at)
+    with Sdf.ChangeBlock():  # tells listeners once
+        for frame in [None, *whole.tolist()]:
+            place = ribbon.points if frame is None else ribbon.at(frame)
+            single = (place - origin).astype(np.float32).reshape(-1, 3)
+            box = np.stack([single.min(axis=0), single.max(axis=0)])
+            for attribute, values in ((points, single), (extent, box)):
+                path, array = attribute.GetPath(), Vt.Vec3fArray.FromNumpy(values)
+                if frame is None:
+                    layer.GetAttributeAtPath(path).default = array
+                else:
+                    layer.SetTimeSample(path, frame, array)
 
 
 def _write_texture(file: Path, look: Look) -> None:
