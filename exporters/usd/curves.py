@@ -39,6 +39,8 @@ WIDTHS = (0.03, 0.9)
 some tools shorten longer ones."""
 ROUNDS = 7
 """Rounds of Gauss and Newton's method at most for the widths of a segment."""
+EASED = 1 / 3
+"""With which power of their number the share of the tolerance falls that curves of one pose are first given each."""
 EPSILON = float(np.finfo(float).eps)
 """Least trace of the normal equations, so that they are not singular where nothing changes."""
 
@@ -377,7 +379,9 @@ def _fit_together(
 ) -> list[Curve]:
     """Curves of the columns of ``values`` whose joint error is within ``tolerance``: each within the same share of it,
     which is lowered as far as necessary."""
-    share, shown = 1.0, [None if before is None else before(frames) for before in earlier]
+    moving = int(np.count_nonzero(np.ptp(values, axis=0)))
+    share = max(moving, 1) ** -EASED  # curves are rarely all at their worst at one instant
+    shown = [None if before is None else before(frames) for before in earlier]
     while True:
         within = share * tolerance
         columns = zip(values.T, earlier, shown, strict=True)

@@ -32,7 +32,9 @@ def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progr
     ``source``: its shot file; by default the copy in ``report.json``, whose paths are relative to the working folder.
     Raises ``InputError`` if nothing was edited, or if the shot now has another motion than the delivery.
     """
-    with _looking_from(source):
+    from pxr import Usd
+
+    with _looking_from(source), Usd.StageCacheContext(Usd.StageCache()):  # each stage is opened once
         return _edited_shot(delivery, edit, source, progress)
 
 

@@ -78,10 +78,13 @@ class EditTable(Table):
         Marks that the edit touches are no longer required; the others still are. ``curves``: how far the delivered
         curves may be from the motion, m and degrees, as for `curve_tolerances`.
         """
+        from pxr import Usd
+
         from vehsim.planning.retouch import KEPT, retouch
 
-        edited = self.read(clip.vehicle, context)
-        parts = self._parts_moved(edited, clip, context, curves)
+        with Usd.StageCacheContext(Usd.StageCache()):  # the stage is opened once
+            edited = self.read(clip.vehicle, context)
+            parts = self._parts_moved(edited, clip, context, curves)
         asks = [dict(ask) for ask in report.get("asks", [])]
         marks = [ask for ask in asks if ask["key"].startswith("mark[")]
         made = retouch(
