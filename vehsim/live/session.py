@@ -246,7 +246,7 @@ class Session:
                 self.interrupted = True
                 raise
             except VehsimError as error:
-                self.problems = [_described(problem) for problem in error.problems]
+                self.problems = [self._described(problem) for problem in error.problems]
                 return None if self.take or self.shot is None else self._preview()
         texts = dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning))
         self.problems = [{"text": text} for text in texts]
@@ -674,6 +674,12 @@ class Session:
         elif ours == theirs.model_copy(update={"obstacle": ours.obstacle}):
             vars(shot)["world"] = self.shot.world.with_only(standing(theirs.obstacle, shot.folder))
 
+    def _described(self, problem: Problem) -> dict[str, Any]:
+        """A problem for the page, without the name of the file that it shows."""
+        shown = problem.line is None and problem.file == str(self.document.path)
+        text = str(replace(problem, file="") if shown else problem)
+        return {"text": text} | ({"fixes": problem.fixes} if problem.fixes else {})
+
     def _handle(self, moved: Moved) -> Handle:
         """The handle of a message. Raises ``InputError``."""
         found = next((handle for handle in self.handles if handle.key == moved.key), None)
@@ -740,11 +746,6 @@ def _plain(take: Take) -> Take:
         moving_water=False,
     )
     return replace(take, usd=form)
-
-
-def _described(problem: Problem) -> dict[str, Any]:
-    """A problem for the page."""
-    return {"text": str(problem)} | ({"fixes": problem.fixes} if problem.fixes else {})
 
 
 def _apart(a: Clip, b: Clip) -> float:
