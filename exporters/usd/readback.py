@@ -95,7 +95,8 @@ def check_curves(path: Path, prim_path: str, clip: Clip, tolerances: Tolerances,
         attribute = stage.GetPrimAtPath(f"{prim_path}{'/' if drive.prim else ''}{drive.prim}").GetAttribute(
             scalar_op(op)
         )
-        values = np.array([attribute.Get(frame) for frame in frames.tolist()]) if attribute else np.zeros(len(frames))
+        shown = Usd.AttributeQuery(attribute) if attribute else None
+        values = np.zeros(len(frames)) if shown is None else np.array([shown.Get(frame) for frame in frames.tolist()])
         error = np.abs(values / (factor * drive.factor) - at.channels[channel])
         off[f"{prim_path}/{drive.prim}"] = error / tolerances.channels[channel]
     for part, errors in off.items():
