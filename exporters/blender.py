@@ -581,11 +581,13 @@ def write_alembic(take: Take, folder: Path, progress: Progress) -> Sequence[Path
     """``<shot>.abc``: geometry, motion and cameras of the stage. Warns of spray, which Blender does not export."""
     from pxr import Usd, UsdGeom
 
+    from vehsim.intake.usd import is_drawn
+
     progress("abc: samples", 0.0)
     path, stage = folder / f"{take.name}.abc", folder / f"{take.name}.usda"
     _run(stage, "--alembic", str(path), "--fps", str(take.fps))
     opened = Usd.Stage.Open(str(stage))  # a prim does not keep its stage open
-    if any(prim.IsA(UsdGeom.Points) for prim in opened.Traverse()):
+    if any(prim.IsA(UsdGeom.Points) and is_drawn(prim) for prim in opened.Traverse()):
         warnings.warn(f"{path.name}: spray is left out; Blender exports no points", stacklevel=2)
     return [path]
 
