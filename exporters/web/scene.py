@@ -504,9 +504,11 @@ def _placed(one: Mapping[str, Any], by: Array) -> dict[str, Any]:
 
 
 def marks_shown(take: Take) -> Iterator[dict[str, Any]]:
-    """The marks with a place: vehicle, index, frame, position; heading in degrees where the motion passes."""
+    """The marks with a place: vehicle, index, frame, position; heading in degrees where the motion passes.
+    ``grounded``: the ground gives the height, not the mark."""
     for name, marks in take.report.get("marks", {}).items():
         clip = take.clips[name]
+        grounded = clip.vehicle.group.planar and take.world.terrain is not None
         for k, mark in enumerate(marks):
             if mark.get("position") is None:
                 continue
@@ -516,11 +518,13 @@ def marks_shown(take: Take) -> Iterator[dict[str, Any]]:
                 away = np.linalg.norm(clip.positions[:, : len(place)] - place, axis=1)
                 frame = float(clip.frames[away.argmin()])
             there = clip_at(clip, np.array([float(frame)]))
+            given = 2 if grounded else len(place)
             yield {
                 "vehicle": name,
                 "index": k,
                 "frame": float(frame),
-                "position": [*place.tolist(), *there.positions[0, len(place) :].tolist()],
+                "position": [*place[:given].tolist(), *there.positions[0, given:].tolist()],
+                "grounded": grounded,
                 "heading": float(np.degrees(yaw_of(there.orientations)[0])),
                 "gate": None if mark.get("gate") is None else _opening(Gate(**mark["gate"])),
             }

@@ -173,6 +173,34 @@ def test_scrubbing_a_mark_retimed_too_early_its_fix_and_the_bytes_of_an_export(t
     assert "drive.html" in ours and ours == theirs
 
 
+def test_marks_on_terrain_are_drawn_on_the_ground(tmp_path):
+    """Also after a drag; their height in the file, which the ground overrides, stays."""
+    there = SHOT.replace("position = [0, 0, 0]", "position = [40, 40, 0]").replace("[8, 1, 0]", "[48, 41, 0]")
+    path = written(tmp_path, there.replace("[[vehicle]]", '[world]\nterrain = "hills"\n[[vehicle]]', 1))
+    end = "vehsim.viewer.lines.get('car').geometry.attributes.position.array.at(-1)"
+    ring = "vehsim.viewer.rings[1].position.z"
+
+    async def play():
+        async with opened(path) as page:
+            ground = await page.value(end)
+            assert abs(ground) > 0.1 and await page.value(ring) == pytest.approx(ground, abs=0.01)
+            x, y = await page.value(PLACE)
+            await page.mouse("Pressed", x, y)
+            for k in range(1, 6):
+                await page.mouse("Moved", x + 8 * k, y)
+            await page.until("document.getElementById('status').textContent.startsWith('dragging')")
+            await page.mouse("Released", x + 40, y)
+            await page.until(f"!document.getElementById('do-undo').disabled && {SOLVED}")
+            moved = await page.value(end)
+            assert moved != ground and await page.value(ring) == pytest.approx(moved, abs=0.01)
+            await page.value("document.getElementById('do-save').click()")
+            await page.until("document.getElementById('do-save').disabled")
+
+    asyncio.run(play())
+    place = tomllib.loads(path.read_text())["vehicle"][0]["motion"]["mark"][1]["position"]
+    assert place[:2] != [48, 41] and place[2] == 0
+
+
 GATE = "gate = { direction = [5, 0, 0], size = [4, 3] } # the arch\n"
 
 

@@ -180,8 +180,10 @@
     viewer.setTicks([...placed, ...state.unplaced.map(({ vehicle, frame }) => ({ vehicle, frame }))]);
     for (const ring of viewer.rings) ring.visible = same;
     if (same) marks.forEach(({ place, heading }, k) => { // where the file has them, also if it is not solved
-      viewer.rings[k].position.copy(viewer.local(place));
-      if (heading !== null) viewer.rings[k].rotation.z = heading / DEGREES;
+      const ring = viewer.rings[k], { grounded, position } = viewer.marks[k];
+      ring.position.copy(viewer.local(place));
+      if (grounded) ring.position.z = position[2]; // the file's height counts for nothing
+      if (heading !== null) ring.rotation.z = heading / DEGREES;
     });
     grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })) : [];
     grips.push(...own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) })));
@@ -189,7 +191,10 @@
       const at = grip.handle.on && grips.find((one) => one.handle.key === grip.handle.on);
       if (at) Object.assign(grip, { at, border: at.ring.userData.carries });
     }
-    for (const grip of grips) carry(grip);
+    for (const grip of grips) {
+      carry(grip);
+      grip.rise = grip.ring.position.z - viewer.local(grip.handle.place).z;
+    }
     const now = dragged && dragged.tables === state.tables && grips.find((grip) => grip.handle.key === dragged.handle.key);
     if (!now) {
       dragged = null;
@@ -247,9 +252,9 @@
   }
 
   function message(kind) {
-    const { ring, handle, turned, tables } = dragged;
+    const { ring, handle, turned, tables, rise } = dragged, [x, y, z] = vehsim.viewer.world(ring.position);
     return {
-      kind, tables, key: handle.key, position: vehsim.viewer.world(ring.position),
+      kind, tables, key: handle.key, position: [x, y, z - rise],
       heading: turned ? ring.rotation.z * DEGREES : null, tilt: turned && handle.tilt !== null ? -ring.rotation.y * DEGREES : null,
     };
   }
