@@ -188,20 +188,18 @@ def _author_ribbon(mesh: Any, ribbon: Ribbon, look: Look) -> None:
     origin = local_origin(ribbon.points.reshape(-1, 3).mean(axis=0))
     if origin.any():
         mesh.AddTranslateOp().Set(Gf.Vec3d(*origin.tolist()))
-    points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
     layer = mesh.GetPrim().GetStage().GetEditTarget().GetLayer()
-    whole = np.arange(np.floor(ribbon.times[0]), np.ceil(ribbon.times[-1]) + 1)
-    with Sdf.ChangeBlock():  # tells listeners once
-        for frame in [None, *whole.tolist()]:
-            place = ribbon.points if frame is None else ribbon.at(frame)
-            single = (place - origin).astype(np.float32).reshape(-1, 3)
-            box = np.stack([single.min(axis=0), single.max(axis=0)])
-            for attribute, values in ((points, single), (extent, box)):
-                path, array = attribute.GetPath(), Vt.Vec3fArray.FromNumpy(values)
-                if frame is None:
-                    layer.GetAttributeAtPath(path).default = array
-                else:
-                    layer.SetTimeSample(path, frame, array)
+    whole = np.arange(np.floor(ribbon.times[0]), np.ceil(ribbon.times[-1]) + 1).tolist()
+    places = np.stack([ribbon.points, *map(ribbon.at, whole)]) - origin
+    single = places.astype(np.float32).reshape(len(places), -1, 3)
+    boxes = np.stack([single.min(axis=1), single.max(axis=1)], axis=1)
+    for attribute, values in ((mesh.CreatePointsAttr(), single), (mesh.CreateExtentAttr(), boxes)):
+        first, *arrays = map(Vt.Vec3fArray.FromNumpy, values)
+        attribute.Set(first)
+        path = attribute.GetPath()
+        with Sdf.ChangeBlock():  # tells listeners once
+            for frame, array in zip(whole, arrays, strict=True):
+                layer.SetTimeSample(path, frame, array)
 
 
 def _write_texture(file: Path, look: Look) -> None:
