@@ -33,8 +33,6 @@ HULLS: dict[str, dict[str, Any]] = {
     "tug": {"shape": "tug", "size": (12.0, 4.5, 1.6), "centre": -0.2, "ahead": -0.3077},
 }
 """Length, beam and draft (m) of each; place (m) of the centre of mass above the water and ahead of the middle."""
-COMPUTED = tuple(name for name in HULLS if name != "catamaran")
-"""Hulls whose coefficients are stored for the tests."""
 VISCOUS = 0.05
 """Viscous damping of roll over the critical one, without added mass."""
 
@@ -172,7 +170,7 @@ def write_coefficients(folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     hulls = json.loads(STORED.read_text(encoding="utf-8"))["hulls"]
-    for name in COMPUTED:
+    for name in HULLS:
         hull = hulls[name]
         body = Afloat(floating(surface(hull), hull["mass"], hull["inertia"]), World(water=0.0))
         found = coefficients(body.hull, body.floating()[0], lambda what, done: print(what, f"{done:.0%}"))

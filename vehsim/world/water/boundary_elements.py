@@ -50,7 +50,9 @@ APART = 0.2
 LOST, WEAK = 0.15, 0.01
 """Largest plausible `energy_error`: it was at most 0.06 for eight hulls, and 0.46 for one with folded panels. A mode's
 damping over the largest one from which the error is measured by the mode's own."""
-KIND = "hydro-6"
+SPREAD = 0.1
+"""Largest error of a memory in roll and sway that is not warned of."""
+KIND = "hydro-7"
 """Of cached results: change the number when the method changes."""
 MOST_KEPT = 200_000_000
 """Bytes of all cached results: those of about 500 hulls."""
@@ -162,9 +164,12 @@ def energy_error(found: Coefficients, size: float) -> Array:
 
 
 def rings(found: Coefficients) -> bool:
-    """Whether damping has peaks too narrow for its frequencies: it contradicts the added mass, see `plausible`."""
-    agreeing = Radiation(found.omega, found.damping, found.added).infinite
-    return plausible(agreeing, found.infinite) is found.infinite
+    """Whether damping has peaks so narrow that the memory has only a part of them: it is spread, see `fitted`."""
+    if found.memory is None:
+        return False
+    wanted = found.damping + 1j * found.omega[:, None, None] * (found.added - found.infinite)
+    error = found.memory.transfer(found.omega) - wanted
+    return bool(np.linalg.norm(error[:, [0, 4]]) > SPREAD * np.linalg.norm(wanted[:, [0, 4]]))
 
 
 def _key(hull: HullMesh, height: float) -> str:
@@ -240,7 +245,8 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
         pressure, diffraction = ((each + each[:, other] * MIRROR) / 2 for each in (pressure, diffraction))
     damping = _rounded(radiating(damping))
     radiation = Radiation(omega, damping, added)
-    memory = fitted(radiation)
+    used = plausible(_rounded(radiation.infinite), infinite)
+    memory = fitted(radiation, infinite if used is infinite else None)
     if memory is None:
         warnings.warn(f"{hull.name}: no model of its radiated waves is good enough: give physics.damping", stacklevel=3)
     whole = Coefficients(
@@ -248,7 +254,7 @@ def _computed(hull: HullMesh, height: float, density: float, progress: Progress 
         headings=headings,
         added=added,
         damping=damping,
-        infinite=plausible(_rounded(radiation.infinite), infinite),
+        infinite=used,
         pressure=_rounded(pressure),
         diffraction=_rounded(diffraction),
         density=density,

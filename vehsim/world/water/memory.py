@@ -2,7 +2,9 @@
 
 The kernel of Cummins' equation follows from the damping, ``K(t) = 2 / pi integral B(w) cos(w t) dw`` (Ogilvie 1964).
 The eigensystem realization of its samples (Juang and Pappa 1985) gives poles and inputs; the outputs are fitted to
-damping and added mass by least squares, such that a constant velocity has no force.
+damping and added mass by least squares, such that a constant velocity has no force. Where waves ring between two
+hulls, the frequencies do not resolve the kernel; poles then follow from damping and added mass by vector fitting
+(Gustavsen and Semlyen 1999).
 """
 
 from __future__ import annotations
@@ -33,12 +35,21 @@ MOST = 240
 ORDERS = (4, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 48, 56, 64)
 """Orders that are tried, until the error is at most `ERROR`; it must not be larger than `WORST`."""
 ERROR, WORST = 0.005, 0.03
-SPREADS, GAIN = (0.0, 0.5, 1.0, 2.0, 4.0), 0.03
+SPREADS, GAIN = (0.5, 1.0, 2.0, 4.0), 0.03
 """Widths of peaks in spacings of the frequencies that are tried, until no motion gains more than this."""
 FAINT = 0.02
 """The error is relative to the force at each frequency, down to this share of the largest."""
 GUESSED = 0.1
 """Weight of frequencies above the highest in the fit."""
+POLES = (14, 18, 22, 26, 30)
+"""Numbers of poles that are tried where waves ring, until the error is at most `ERROR`; it must not be larger than
+`RINGS`: root mean square of the error at each frequency, relative to the force there."""
+RINGS = 0.05
+ROUNDS, NARROW = 10, 0.2
+"""Relocations of these poles, and their least damping over the least spacing of the frequencies: narrower peaks are not
+resolved, and would ring for ever."""
+FAINTEST = 1e-3
+"""As `FAINT`, beside a peak a thousand times as high; and the least peak of a state, over the largest of all."""
 WEAK = 1e-6
 """Modes with less damping than this share of the strongest, over a lever arm that makes them alike, are left out."""
 
@@ -143,16 +154,117 @@ def radiating(damping: Array) -> Array:
     return np.asarray((vectors * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(vectors, 1, 2) * units)
 
 
-def fitted(radiation: Radiation) -> Memory | None:
+def fitted(radiation: Radiation, infinite: Array | None = None) -> Memory | None:
     """A model of the radiation, with stable poles, in which no motion gains energy; None: there is none.
 
-    Waves that ring between two hulls for longer than the frequencies resolve are damped: their peaks are spread out.
+    ``infinite`` (6, 6): the added mass at infinite frequency, if waves ring between two hulls, so that it does not
+    follow from the damping. Without a model of these, they are damped: their peaks are spread out.
     """
+    model = _model(radiation, known=True) if infinite is None else _ringing(radiation, infinite)
+    if model is not None:
+        return model
     for spread in SPREADS:
-        model = _model(radiation.spread(spread) if spread else radiation, known=not spread)
+        model = _model(radiation.spread(spread), known=False)
         if model is not None:
             return model
     return None
+
+
+def _ringing(radiation: Radiation, infinite: Array) -> Memory | None:
+    """The model with poles that fit damping and added mass, over ``infinite`` (6, 6), at each frequency."""
+    omega, damping = radiation.omega, radiation.damping
+    size, units = _sizes(damping)
+    wanted = (damping + 1j * omega[:, None, None] * (radiation.added - infinite)) / units
+    above = omega[-1] * np.linspace(1, HIGHEST, len(omega) // 2 + 1)[1:]
+    strength = np.linalg.norm(wanted, axis=(1, 2))
+    weight = 1 / (FAINTEST + strength / strength.max())
+    inside = np.arange(len(omega) + len(above)) < len(omega)
+    weights = np.append(weight, np.full(len(above), weight[-1])) * np.stack([np.where(inside, 1.0, GUESSED), inside])
+    every, whole = np.concatenate([omega, above]), np.concatenate([wanted, radiation.above(above) / units])
+    one, other = np.triu_indices(6)
+    responses = wanted[:, one, other]
+    largest = np.sqrt((np.abs(responses * weight[:, None]) ** 2).mean(axis=0))
+    responses = responses[:, largest > 0] / largest[largest > 0]
+    narrowest, best = NARROW * np.diff(omega).min(), None
+    for count in POLES:
+        start = np.linspace(omega[0] / 2, 1.1 * omega[-1], count)
+        poles = start * (1j - 0.05)
+        for _ in range(ROUNDS):
+            poles = _relocated(poles, omega, responses, weight)
+        poles = np.where(poles.imag > 0, np.minimum(poles.real, -narrowest) + 1j * poles.imag, poles)
+        states, inputs = _states(poles, omega, wanted, weight)
+        outputs = _outputs(states, inputs, every, whole, weights)
+        wrong = Memory(states, inputs, outputs).transfer(omega) - wanted
+        miss = float(np.sqrt(((np.linalg.norm(wrong, axis=(1, 2)) / strength) ** 2).mean()))
+        scale = np.where(np.isfinite(size), size, 0.0)
+        model = Memory(states, inputs * scale, outputs * scale[:, None])
+        if miss < (RINGS if best is None else best[0]) and gain(model, omega[-1]) < GAIN:
+            best = miss, model
+        if best is not None and best[0] <= ERROR:
+            break
+    return None if best is None else best[1]
+
+
+def _fractions(poles: Complex, omega: Array) -> Complex:
+    """The transforms (m, n) that the real numbers (n,) of a kernel weigh: two for a pole and its conjugate, one for a
+    real pole."""
+    s = 1j * omega
+    columns: list[Complex] = []
+    for pole in poles:
+        if pole.imag == 0:
+            columns.append(1 / (s - pole))
+        else:
+            one, two = 1 / (s - pole), 1 / (s - pole.conj())
+            columns += [one + two, 1j * (one - two)]
+    return np.array(columns, complex).T
+
+
+def _relocated(poles: Complex, omega: Array, wanted: NDArray[Any], weight: Array) -> Complex:
+    """Poles nearer to those of all responses ``wanted`` (m, k) at ``omega`` (m,), by one round of vector fitting."""
+    parts = _fractions(poles, omega)
+    n, left, right = parts.shape[1], [], []
+    for response in wanted.T:
+        rows = np.column_stack([parts, -response[:, None] * parts, response]) * weight[:, None]
+        r = np.asarray(np.linalg.qr(np.concatenate([rows.real, rows.imag]), mode="r"))
+        left.append(r[n : 2 * n, n : 2 * n])
+        right.append(r[n : 2 * n, 2 * n])
+    found = np.linalg.lstsq(np.concatenate(left), np.concatenate(right), rcond=None)[0]
+    system, first, k = np.zeros((n, n)), np.zeros(n), 0
+    for pole in poles:
+        if pole.imag == 0:
+            system[k, k], first[k], k = pole.real, 1.0, k + 1
+        else:
+            system[k : k + 2, k : k + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+            first[k], k = 2.0, k + 2
+    zeros = np.linalg.eigvals(system - np.outer(first, found))
+    zeros = zeros[zeros.imag >= 0]
+    return np.asarray(-np.abs(zeros.real) + 1j * zeros.imag)
+
+
+def _states(poles: Complex, omega: Array, wanted: NDArray[Any], weight: Array) -> tuple[Complex, Complex]:
+    """The poles (n,) and inputs (n, 6) of the strongest states at ``poles`` for the transform ``wanted`` (m, 6, 6)."""
+    parts = _fractions(poles, omega) * weight[:, None]
+    target = (wanted * weight[:, None, None]).reshape(len(omega), 36)
+    rows, given = (np.concatenate([each.real, each.imag]) for each in (parts, target))
+    found = iter(list(np.linalg.lstsq(rows, given, rcond=None)[0].reshape(-1, 6, 6)))
+    states: list[complex] = []
+    inputs: list[Complex] = []
+    for pole in poles:
+        residue = next(found) + (1j * next(found) if pole.imag else 0.0)
+        _, strength, directions = np.linalg.svd(np.asarray(residue))
+        for k in np.flatnonzero(strength > FAINTEST * abs(pole.real)):
+            states.append(pole)
+            inputs.append(directions[k])
+    return np.array(states, complex), np.array(inputs, complex)
+
+
+def _sizes(damping: Array) -> tuple[Array, Array]:
+    """By which forces of modes (6,) and coefficients (6, 6) are divided; infinite for modes that make no waves."""
+    most = np.abs(np.einsum("nii->ni", damping)).max(axis=0)
+    arm = np.sqrt(most[:3].max() / max(most[3:].max(), 1e-300))
+    used = most > WEAK * most[3:].max() * np.array([arm, arm, arm, 1, 1, 1]) ** 2
+    size = np.where(used, np.sqrt(np.maximum(most, 1e-300)), np.inf)
+    return size, np.multiply.outer(size, size)
 
 
 def gain(memory: Memory, top: float) -> float:
@@ -167,11 +279,7 @@ def gain(memory: Memory, top: float) -> float:
 def _model(radiation: Radiation, known: bool) -> Memory | None:
     """``known``: whether the added mass agrees with the damping. None: no order is good enough."""
     omega, damping, excess = radiation.omega, radiation.damping, radiation.excess
-    most = np.abs(np.einsum("nii->ni", damping)).max(axis=0)
-    arm = np.sqrt(most[:3].max() / max(most[3:].max(), 1e-300))
-    used = most > WEAK * most[3:].max() * np.array([arm, arm, arm, 1, 1, 1]) ** 2
-    size = np.where(used, np.sqrt(np.maximum(most, 1e-300)), np.inf)
-    units = np.multiply.outer(size, size)
+    size, units = _sizes(damping)
     step = np.pi / omega[-1] / FINE
     count = min(int(LONG * 2 * np.pi / np.diff(omega).min() / step) // 2, MOST)
     samples = radiation.kernel(step * np.arange(2 * count)) / units
@@ -201,7 +309,7 @@ def _model(radiation: Radiation, known: bool) -> Memory | None:
         outputs = _outputs(poles, inputs, every, wanted, weights)
         wrong = Memory(poles, inputs, outputs).transfer(omega) - wanted[inside]
         miss = float(np.linalg.norm(wrong if known else wrong.real)) / whole
-        scale = np.where(used, size, 0.0)
+        scale = np.where(np.isfinite(size), size, 0.0)
         model = Memory(poles, inputs * scale, outputs * scale[:, None])
         if (best is None or miss < best[0]) and gain(model, omega[-1]) < GAIN:
             best = miss, model
