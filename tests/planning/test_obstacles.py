@@ -1,5 +1,6 @@
 """Cars among obstacles: clear according to an independent library, between knots too; infeasible marks are named."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -24,7 +25,7 @@ from vehsim.planning.outlines import clearances, inner_discs, least_clearance, s
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.request.legs import divided
+from vehsim.planning.request.legs import divided, same_choices, straightened
 from vehsim.planning.request.marks import Gate
 from vehsim.planning.request.marks_near_obstacles import marks_too_near, parts_in_reach
 from vehsim.planning.request.request import make_request
@@ -195,6 +196,53 @@ def test_a_swinging_trailer_keeps_its_clearance():
         shapely.convex_hull(shapely.multipoints(turned)), shapely.Polygon(world.obstacles[0].parts[0])
     )
     assert plan.clearance - 1e-3 <= seen.min() <= plan.clearance + 0.05
+
+
+def bay(wide):
+    """Two blocks 16 m long, with a bay ``wide`` m between them."""
+    sides = (wide / 2 + 1.5, -wide / 2 - 1.5)
+    return World(obstacles=[ob.box(f"block {y:+g}", (0.0, y, 0.0), (16.0, 3.0, 3.0)) for y in sides])
+
+
+def to_bay(start, **more):
+    first = Mark(1, position=start, heading=0, velocity=REST, **more)
+    return [first, Mark("free", position=(4.0, 0.0, 0.0), heading=0, velocity=REST)]
+
+
+@pytest.mark.parametrize(
+    ("wide", "start"), [(4.4, (20, 0, 0)), (3.8, (20, 0, 0)), (4.4, (30, 8, 0)), (4.0, (35, -6, 0))]
+)
+def test_a_truck_backs_its_trailer_into_a_bay(wide, start):
+    """Straight back, and from beside the bay: it pulls ahead, and backs in with its trailer straight."""
+    truck, world = vehsim.load_vehicle("truck"), bay(wide)
+    plan = vehsim.plan(truck, world, to_bay(start), clearance=0.3)
+    assert plan.success, plan.message
+    clip = plan.clip
+    hitch = clip.joints[:, truck.joints.index("hitch_1")]
+    np.testing.assert_allclose(hitch[[0, -1]], 0, atol=1e-6)
+    gaps = world.clearance(truck, clip.positions, clip.orientations, channels=clip.channels)
+    assert gaps.min() > 0.3 - 0.011
+
+
+def test_trailers_stand_as_marks_say_or_straight():
+    truck = vehsim.load_vehicle("truck")
+    bent = to_bay((20, 0, 0), joints=(math.nan, math.nan, 0.2))
+    straight = straightened(bent, truck)
+    assert straight[0].joints == bent[0].joints
+    assert straight[1].joints[2] == 0 and np.isnan(straight[1].joints[:2]).all()
+    passing = Mark(9, position=(0, 0, 0))
+    assert straightened([passing], truck) == [passing]
+    moved = to_bay((21, 0, 0), joints=(math.nan, math.nan, 0.3))
+    kept = same_choices(moved, bent, straight)
+    assert kept[0].joints == moved[0].joints and kept[1].joints is straight[1].joints
+
+
+def test_a_replan_keeps_trailers_straight():
+    truck = vehsim.load_vehicle("truck")
+    plan = vehsim.plan(truck, bay(4.4), to_bay((20, 0, 0)), clearance=0.3)
+    again = plan.replan(to_bay((21, 0, 0)))
+    assert again.success, again.message
+    np.testing.assert_allclose(again.clip.joints[[0, -1], 2], 0, atol=1e-6)
 
 
 def test_a_path_is_divided_by_frames():

@@ -20,7 +20,7 @@ from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.planner import at_marks
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.request.legs import same_headings
+from vehsim.planning.request.legs import same_choices
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear
 from vehsim.planning.request.request import Request, all_marks, make_request
@@ -72,7 +72,7 @@ class Draft:
         marks = all_marks(marks, before.vehicle, world, before.terms)
         if shape(marks) != shape(given):
             raise ValueError("the marks fix other quantities than before: make a new draft")
-        request = replace(before, world=world, given=marks, marks=same_headings(marks, given, before.marks))
+        request = replace(before, world=world, given=marks, marks=same_choices(marks, given, before.marks))
         run = Run(request, solvers=self._run.solvers, draft=True)
         with interrupts.remembered():
             if world is not before.world:

@@ -63,28 +63,35 @@ def in_narrow_places(run: Run, failed: Iterate, paths: Sequence[Array], clip: Cl
 def with_fewer_requirements(
     run: Run, iterate: Iterate, request: Request, paths: Sequence[Array], guess: Any
 ) -> tuple[Run, Iterate]:
-    """The iterate solved without headings along the legs at marks at rest, and with more segments if there are few.
+    """The iterate solved without the usual poses at marks at rest, and with more segments if there are few.
 
     Returns the last iterate that was tried; it may have failed.
     """
-    legs, few, turned = len(request.marks) - 1, request.segments, bool(iterate.request.given)
+    legs, few, posed = len(request.marks) - 1, request.segments, bool(iterate.request.given)
     enough = LEAST * legs if few <= FEWEST * legs else few
-    tries = [(few, "")] if turned else []
+    tries = [(few, "")] if posed else []
     tries += [(enough, f"; with {enough} segments, because {few} are too few")] if enough > few else []
     for segments, remark in tries:
         if run.deadline.late:
             break
-        unturned = (
-            "; headings at rest do not point along the path: no such motion was found" if iterate.request.given else ""
-        )
+        unposed = _unposed(iterate.request)
         changed = replace(request, segments=segments)
         run = Run(changed, run.progress)
         again = begin(run, changed, iterate.transcription, iterate.cover, paths, as_clip(request, guess))
         iterate = solve(run, again)
         if iterate.success:
-            iterate = replace(iterate, remark=unturned + remark)
+            iterate = replace(iterate, remark=unposed + remark)
             break
     return run, iterate
+
+
+def _unposed(request: Request) -> str:
+    """What is said of a motion without the usual poses at marks at rest."""
+    if not request.given:
+        return ""
+    turned = any(mark.heading != before.heading for mark, before in zip(request.marks, request.given, strict=True))
+    what = "headings at rest do not point along the path" if turned else "trailers do not stand straight at rest"
+    return f"; {what}: no such motion was found"
 
 
 def from_other_guesses(

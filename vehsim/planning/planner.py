@@ -41,9 +41,9 @@ from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
-from vehsim.planning.request.legs import facing, same_headings
+from vehsim.planning.request.legs import facing, same_choices, straightened
 from vehsim.planning.request.marks import Mark, shape
-from vehsim.planning.request.marks_near_obstacles import facing_clear
+from vehsim.planning.request.marks_near_obstacles import facing_clear, parts_in_reach
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, nearby, restrain, without_character
 from vehsim.planning.solve import COARSE, begin, give_up, solve
@@ -169,7 +169,7 @@ class Plan:
         given = before.given or before.marks
         if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
             return _solve(replace(request, given=()), progress, self.clip)
-        faced = replace(request, given=request.marks, marks=same_headings(request.marks, given, before.marks))
+        faced = replace(request, given=request.marks, marks=same_choices(request.marks, given, before.marks))
         run = Run(faced, progress, self._run.solvers)
         iterate = settle_on_frames(run, solve(run, at_marks(self._iterate, faced, self._iterate.cover)))
         if not iterate.success:  # no solution from here; its own initial guess may lead to one
@@ -447,8 +447,8 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     except OutOfTime as error:
         paths, cover, late = straight(request), None, f" ({error})"
     refused = "; ".join(map(str, refusals(request)))
-    faced, easy = _facing(request, paths), not once and _is_easy(request, cover)
-    iterate = begin(run, faced, transcription, cover, paths, as_clip(request, guess), coarse=not easy)
+    posed, easy = _posed(request, paths), not once and _is_easy(request, cover)
+    iterate = begin(run, posed, transcription, cover, paths, as_clip(request, guess), coarse=not easy)
     if refused or run.deadline.hopeless:
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
@@ -458,7 +458,7 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if easy:
         iterate = _at_once(run, iterate)
     if easy and not iterate.success:  # few segments of order 2 are a shorter way, and often to a better motion
-        iterate = begin(run, faced, transcription, cover, paths, as_clip(request, guess))
+        iterate = begin(run, posed, transcription, cover, paths, as_clip(request, guess))
     patient = math.isinf(request.deadline) and request.max_iterations > QUICK.most
     stunt = untried = None
     if early and patient and not iterate.success and request.traits.harder is not None:
@@ -532,15 +532,16 @@ def _presses(iterate: Iterate) -> bool:
     return iterate.success and clearance is not None and clearance.presses(iterate)
 
 
-def _facing(request: Request, paths: Sequence[Array]) -> Request:
-    """The request with marks at rest turned along their legs, if the cost includes `course`, or as near to them as the
-    vehicle has room."""
-    given = request.marks
-    turned = facing(given, paths, request.aimed) if request.weights["course"] else given
-    if turned == given:
-        return request
-    turned = facing_clear(request.vehicle, request.world, given, turned, request.clearance, request.fps)
-    return replace(request, marks=turned, given=given)
+def _posed(request: Request, paths: Sequence[Array]) -> Request:
+    """The request with marks at rest posed as is usual: turned along their legs, if the cost includes `course`, or as
+    near to them as the vehicle has room; among obstacles, with trailers straight."""
+    given, vehicle = request.marks, request.vehicle
+    posed = facing(given, paths, request.aimed) if request.weights["course"] else given
+    if posed != given:
+        posed = facing_clear(vehicle, request.world, given, posed, request.clearance, request.fps)
+    if vehicle.tied and parts_in_reach(vehicle, request.world, given, request.clearance):
+        posed = straightened(posed, vehicle)  # in reverse, a trailer only diverges from where it starts
+    return request if list(posed) == list(given) else replace(request, marks=posed, given=given)
 
 
 def at_marks(iterate: Iterate, request: Request, cover: SphereCover | None) -> Iterate:

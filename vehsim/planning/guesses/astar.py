@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -83,8 +84,8 @@ def guess_drive(
         remedy = "open a gap, lower the clearance, or move the mark"
         raise SolveError(f"no path from {places} with {clearance:g} m clearance: obstacles close it", remedy)
     poses = None
-    for share in STEPS if radius > 0 else ():
-        search = _Search(ground, radius, (nose[0], headings[1]), share)
+    for slack, share in product((0.0, ground.partly), STEPS) if radius > 0 else ():
+        search = _Search(ground, radius, (nose[0], headings[1]), share, slack)
         poses = search.find()
         if poses is not None or search.looked >= POSES:
             break
@@ -288,11 +289,14 @@ class _Arc:
 class _Search:
     """Hybrid A*: poses connected by arcs of equal length; each cell and heading keeps its cheapest pose.
 
-    The search starts from the end nearer to obstacles: a path out of a gap is found sooner than a path into it.
+    The search starts from the end nearer to obstacles: a path out of a gap is found sooner than a path into it. Poses
+    may be ``slack`` m too near to obstacles, since distances between cells are not exact.
     """
 
-    def __init__(self, ground: _Ground, radius: float, headings: Sequence[float | None], share: float) -> None:
-        self.ground, self.radius, self.headings = ground, radius, headings
+    def __init__(
+        self, ground: _Ground, radius: float, headings: Sequence[float | None], share: float, slack: float
+    ) -> None:
+        self.ground, self.radius, self.headings, self.slack = ground, radius, headings, slack
         self.own = np.array([
             math.inf if heading is None else float(ground.margins(np.array([[*end, heading]]))[0])
             for end, heading in zip(ground.ends, headings, strict=True)
@@ -317,7 +321,7 @@ class _Search:
         gone = np.hypot(*(poses[:, None, :2] - self.ground.ends).T)
         demanded = np.minimum(self.ground.clearance, (self.own[:, None] + 0.5 * gone).min(axis=0) - 1e-6)
         spare = self.ground.margins(poses) - demanded
-        return np.where(spare >= 0, self.ground.priced(spare), np.inf)
+        return np.where(spare >= -self.slack, self.ground.priced(spare), np.inf)
 
     def _from(self, end: int, ahead: int) -> Array | None:
         """Poses from one end to the other; ``ahead``: the preferred gear, 1 or -1."""

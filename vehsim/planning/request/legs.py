@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.request.marks import Mark, given_frames
+from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -34,11 +35,23 @@ def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark]
     return turned
 
 
-def same_headings(marks: Sequence[Mark], given: Sequence[Mark], turned: Sequence[Mark]) -> list[Mark]:
-    """The marks, with the headings that `facing` gave to the marks ``given`` before."""
+def straightened(marks: Sequence[Mark], vehicle: Vehicle) -> list[Mark]:
+    """The marks; at rest, trailers stand straight behind the vehicle unless the mark gives joints."""
+    straight = np.full(len(vehicle.joints), np.nan)
+    straight[list(vehicle.tied)] = 0.0
+    joints = tuple(straight.tolist())
+    return [replace(mark, joints=joints) if mark.at_rest and mark.joints is None else mark for mark in marks]
+
+
+def same_choices(marks: Sequence[Mark], given: Sequence[Mark], chosen: Sequence[Mark]) -> list[Mark]:
+    """The marks, with the headings and joints that were ``chosen`` for the marks ``given`` before."""
     return [
-        replace(mark, heading=after.heading) if before.heading is None else mark
-        for mark, before, after in zip(marks, given, turned, strict=True)
+        replace(
+            mark,
+            heading=after.heading if before.heading is None else mark.heading,
+            joints=after.joints if before.joints is None else mark.joints,
+        )
+        for mark, before, after in zip(marks, given, chosen, strict=True)
     ]
 
 
