@@ -25,9 +25,9 @@ from vehsim.planning.outlines import clearances, inner_discs, least_clearance, s
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import transcribe
-from vehsim.planning.request.legs import divided, same_choices, straightened
+from vehsim.planning.request.legs import divided, same_choices
 from vehsim.planning.request.marks import Gate
-from vehsim.planning.request.marks_near_obstacles import marks_too_near, parts_in_reach
+from vehsim.planning.request.marks_near_obstacles import marks_too_near, parts_in_reach, straightened
 from vehsim.planning.request.request import make_request
 from vehsim.planning.trajectory import Trajectory
 from vehsim.rig.parts import read_parts
@@ -224,17 +224,22 @@ def test_a_truck_backs_its_trailer_into_a_bay(wide, start):
     assert gaps.min() > 0.3 - 0.011
 
 
-def test_trailers_stand_as_marks_say_or_straight():
-    truck = vehsim.load_vehicle("truck")
-    bent = to_bay((20, 0, 0), joints=(math.nan, math.nan, 0.2))
-    straight = straightened(bent, truck)
-    assert straight[0].joints == bent[0].joints
-    assert straight[1].joints[2] == 0 and np.isnan(straight[1].joints[:2]).all()
-    passing = Mark(9, position=(0, 0, 0))
-    assert straightened([passing], truck) == [passing]
-    moved = to_bay((21, 0, 0), joints=(math.nan, math.nan, 0.3))
-    kept = same_choices(moved, bent, straight)
-    assert kept[0].joints == moved[0].joints and kept[1].joints is straight[1].joints
+def test_trailers_stand_straight_in_bays_unless_marks_say_otherwise():
+    truck, world = vehsim.load_vehicle("truck"), bay(4.4)
+    marks = to_bay((20, 0, 0))
+    first, last = straightened(truck, world, marks)
+    for mark in (first, last):
+        assert mark.joints[2] == 0 and np.isnan(mark.joints[:2]).all()
+    assert straightened(truck, world, marks[:1]) == marks[:1]  # outside, its trailer is free
+    bent = replace(marks[1], joints=(math.nan, math.nan, 0.05))
+    assert straightened(truck, world, [marks[0], bent]) == [marks[0], bent]
+    passing = replace(marks[1], velocity=None)
+    assert straightened(truck, world, [marks[0], passing]) == [marks[0], passing]
+    wall = World(obstacles=world.obstacles[:1])  # to the other side, the trailer can turn
+    assert straightened(truck, wall, marks) == marks
+    moved = to_bay((21, 0, 0))
+    assert same_choices(moved, marks, [first, last])[1].joints is last.joints
+    assert same_choices([bent], [bent], [bent])[0].joints is bent.joints
 
 
 def test_a_replan_keeps_trailers_straight():

@@ -41,9 +41,9 @@ from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
-from vehsim.planning.request.legs import facing, same_choices, straightened
+from vehsim.planning.request.legs import facing, same_choices
 from vehsim.planning.request.marks import Mark, shape
-from vehsim.planning.request.marks_near_obstacles import facing_clear, parts_in_reach
+from vehsim.planning.request.marks_near_obstacles import facing_clear, parts_in_reach, straightened
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, nearby, restrain, without_character
 from vehsim.planning.solve import COARSE, begin, give_up, solve
@@ -534,13 +534,13 @@ def _presses(iterate: Iterate) -> bool:
 
 def _posed(request: Request, paths: Sequence[Array]) -> Request:
     """The request with marks at rest posed as is usual: turned along their legs, if the cost includes `course`, or as
-    near to them as the vehicle has room; among obstacles, with trailers straight."""
+    near to them as the vehicle has room; in bays, with trailers straight."""
     given, vehicle = request.marks, request.vehicle
     posed = facing(given, paths, request.aimed) if request.weights["course"] else given
     if posed != given:
         posed = facing_clear(vehicle, request.world, given, posed, request.clearance, request.fps)
     if vehicle.tied and parts_in_reach(vehicle, request.world, given, request.clearance):
-        posed = straightened(posed, vehicle)  # in reverse, a trailer only diverges from where it starts
+        posed = straightened(vehicle, request.world, posed)  # in reverse, a trailer diverges from where it starts
     return request if list(posed) == list(given) else replace(request, marks=posed, given=given)
 
 

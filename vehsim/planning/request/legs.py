@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.request.marks import Mark, given_frames
-from vehsim.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -33,14 +32,6 @@ def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark]
         elif np.linalg.norm(ahead) > 1e-6:
             turned[i] = replace(mark, heading=float(np.degrees(np.arctan2(ahead[1], ahead[0]))))
     return turned
-
-
-def straightened(marks: Sequence[Mark], vehicle: Vehicle) -> list[Mark]:
-    """The marks; at rest, trailers stand straight behind the vehicle unless the mark gives joints."""
-    straight = np.full(len(vehicle.joints), np.nan)
-    straight[list(vehicle.tied)] = 0.0
-    joints = tuple(straight.tolist())
-    return [replace(mark, joints=joints) if mark.at_rest and mark.joints is None else mark for mark in marks]
 
 
 def same_choices(marks: Sequence[Mark], given: Sequence[Mark], chosen: Sequence[Mark]) -> list[Mark]:

@@ -72,7 +72,7 @@ class Mark(Timed):
     At a mark with ``velocity = (0, 0, 0)`` the vehicle is at rest: its body does not turn either. Without a given
     attitude it is in balance, as it must be to stay there (a helicopter leans against its tail rotor and the wind), so
     that the motion starts and ends smoothly; without a heading, a vehicle that flies nose first faces along its leg;
-    among obstacles, without joints, trailers stand straight. Where no such motion is found, the latter two are free.
+    if it rests in a bay, trailers stand straight at marks without joints. If no such motion is found, both are free.
     ``speed = 0`` leaves the attitude free.
     """
 

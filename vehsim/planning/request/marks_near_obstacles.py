@@ -38,6 +38,8 @@ ROOM = 0.25
 """Distance beyond the clearance of a place that it finds, m, so that there is a way to it."""
 FARTHEST = 50.0
 """How far it looks, m."""
+ASIDE = 0.3
+"""Angle, rad, by which a trailer that is not in a bay can turn to one side at least."""
 SPARSE = 15
 """Every so many of these headings are tried first: in the open, they are enough."""
 _HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
@@ -117,6 +119,28 @@ def marks_too_near(
             yield i, f"the vehicle reaches {-gap:.2f} m into {where}", "move the mark out of the terrain"
         else:
             yield i, f"in {where}", "move the mark" if rock else "move the mark or the obstacle"
+
+
+def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> list[Mark]:
+    """The marks; if the vehicle rests in a bay, trailers stand straight behind it wherever it rests, unless marks give
+    joints."""
+    if not any(_in_bay(vehicle, world, mark) for mark in marks):
+        return list(marks)
+    straight = np.full(len(vehicle.joints), np.nan)
+    straight[list(vehicle.tied)] = 0.0
+    joints = tuple(straight.tolist())
+    return [replace(mark, joints=joints) if mark.at_rest and mark.joints is None else mark for mark in marks]
+
+
+def _in_bay(vehicle: Vehicle, world: Any, mark: Mark) -> bool:
+    """Whether a vehicle with free trailers rests where they would touch something if turned by `ASIDE` to either
+    side; what moves does not count."""
+    if not mark.at_rest or mark.joints is not None or mark.position is None or heading_of(mark) is None:
+        return False
+    turned = {vehicle.joints[joint]: np.array([-ASIDE, ASIDE]) for joint in vehicle.tied}
+    poses = np.tile(mark.position, (2, 1)), np.tile(attitude(mark), (2, 1))
+    away = world.clearance_by_obstacle(vehicle, *poses, channels=turned)
+    return bool((away.min(axis=1, initial=np.inf) <= 0).all())
 
 
 def facing_clear(
