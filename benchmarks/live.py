@@ -43,6 +43,8 @@ CASES: dict[str, tuple[Any, ...]] = {
     "helicopter, 16 segments, empty world, 5.5 s": ("helicopter", "", 1133, PLACE, 16, 42),
     "car, 64 segments, flat": ("car", "flat", *CAR[2:], 100),
     "car, 64 segments, hills": ("car", "hills", *CAR[2:], 100),
+    "helicopter, 16 segments, flat": ("helicopter", "flat", 1193, PLACE, 16, 100),
+    "helicopter, 16 segments, hills": ("helicopter", "hills", 1193, PLACE, 16, 100),
     "helicopter, 64 segments, canyon": ("helicopter", "canyon", 1649, (180.0, 40.0, 28.0), 64, 150),
     "car, 64 segments, flat, an obstacle": ("car", "flat", *CAR[2:], 100, PILLAR),
     "car, 64 segments, hills, an obstacle": ("car", "hills", *CAR[2:], 100, PILLAR),
