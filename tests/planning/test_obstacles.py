@@ -18,6 +18,7 @@ from vehsim.planning.constraints.block import Finding
 from vehsim.planning.constraints.features import CORNERS, body_of, form_of, gap
 from vehsim.planning.constraints.features import element as row_of
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
+from vehsim.planning.drafts import draft
 from vehsim.planning.guesses import astar
 from vehsim.planning.guesses.astar import guess_drive, turning_radius
 from vehsim.planning.iterate import Certificate
@@ -240,6 +241,18 @@ def test_trailers_stand_straight_in_bays_unless_marks_say_otherwise():
     moved = to_bay((21, 0, 0))
     assert same_choices(moved, marks, [first, last])[1].joints is last.joints
     assert same_choices([bent], [bent], [bent])[0].joints is bent.joints
+
+
+def test_drafts_keep_trailers_straight_in_bays():
+    truck = vehsim.load_vehicle("truck")
+    first, last = to_bay((20, 0, 0))
+    marks = [first, replace(last, frame=241)]
+    plan = vehsim.plan(truck, bay(4.4), marks, clearance=0.3)
+    drawn = draft(truck, bay(4.4), marks, plan.clip, fps=24, segments=64, clearance=0.3)
+    for there in (4.0, 4.5, 5.0):
+        drawn = drawn.moved([first, replace(marks[1], position=(there, 0, 0))])
+        assert drawn.success
+        np.testing.assert_allclose(drawn.clip().joints[[0, -1], 2], 0, atol=1e-6)
 
 
 def test_a_replan_keeps_trailers_straight():

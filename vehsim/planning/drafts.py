@@ -22,7 +22,7 @@ from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import same_choices
 from vehsim.planning.request.marks import Mark, shape
-from vehsim.planning.request.marks_near_obstacles import check_marks_clear
+from vehsim.planning.request.marks_near_obstacles import check_marks_clear, straightened
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import restrain, restrained
 from vehsim.planning.solve import begin, solve
@@ -146,8 +146,10 @@ def _first(request: Request, clip: Clip | None) -> Draft:
         paths = find_paths(request, clip, run.deadline.watched(None))
         cover = cover_for(request, paths, run.deadline.watched(None))
         guess = as_clip(request, clip)
-        if guess is not None and request.weights["course"]:
-            request = replace(request, given=request.marks, marks=_facing_as(guess, request))
+        marks = _facing_as(guess, request) if guess is not None and request.weights["course"] else request.marks
+        posed = straightened(request.vehicle, request.world, marks)
+        if posed != list(request.marks):
+            request = replace(request, given=request.marks, marks=posed)
         first = begin(run, request, transcribe(request.weighed), cover, paths, guess, coarse=False)
         iterate = first
         if guess is not None:  # a solved motion, in its character already: stay near it

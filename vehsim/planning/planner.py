@@ -43,7 +43,7 @@ from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import facing, same_choices
 from vehsim.planning.request.marks import Mark, shape
-from vehsim.planning.request.marks_near_obstacles import facing_clear, parts_in_reach, straightened
+from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, nearby, restrain, without_character
 from vehsim.planning.solve import COARSE, begin, give_up, solve
@@ -539,8 +539,7 @@ def _posed(request: Request, paths: Sequence[Array]) -> Request:
     posed = facing(given, paths, request.aimed) if request.weights["course"] else given
     if posed != given:
         posed = facing_clear(vehicle, request.world, given, posed, request.clearance, request.fps)
-    if vehicle.tied and parts_in_reach(vehicle, request.world, given, request.clearance):
-        posed = straightened(vehicle, request.world, posed)  # in reverse, a trailer diverges from where it starts
+    posed = straightened(vehicle, request.world, posed)  # in reverse, a trailer diverges from where it starts
     return request if list(posed) == list(given) else replace(request, marks=posed, given=given)
 
 

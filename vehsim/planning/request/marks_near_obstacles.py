@@ -124,7 +124,7 @@ def marks_too_near(
 def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> list[Mark]:
     """The marks; if the vehicle rests in a bay, trailers stand straight behind it wherever it rests, unless marks give
     joints."""
-    if not any(_in_bay(vehicle, world, mark) for mark in marks):
+    if not (vehicle.tied and world is not None and any(_in_bay(vehicle, world, mark) for mark in marks)):
         return list(marks)
     straight = np.full(len(vehicle.joints), np.nan)
     straight[list(vehicle.tied)] = 0.0
