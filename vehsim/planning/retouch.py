@@ -146,7 +146,7 @@ def retouch(
         )
     fixed, made, slower = [*stops, *edit.frames[landed]], None, _slower(clip.vehicle)
     slips = math.isfinite(clip.vehicle.largest_step)  # controls of long segments do not repeat a slide
-    for room, segment in sorted(TRIES, key=lambda each: each[1]) if slips else TRIES:
+    for room, segment in sorted(TRIES) if slips else TRIES:
         tried = edit.windows(round(room * slower * float(clip.fps)), fixed)
         try:
             made = _solved_again(clip, world, edit, tried, segment, clearance, limits, progress)
