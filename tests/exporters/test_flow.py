@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image
-from pxr import Gf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from scipy.spatial.transform import Rotation
 
 from vehsim.errors import InputError
@@ -127,6 +127,51 @@ def test_the_ground_moves_with_the_camera_and_the_sky_with_its_rotation(rendered
     assert np.mean(np.linalg.norm(found[below] - expected, axis=1) < 0.05) > 0.5, "all pixels but the toy's"
 
 
+def over(path, frames):
+    """A new stage over the shot's beside it."""
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.GetRootLayer().subLayerPaths = ["shot.usda"]
+    stage.SetStartTimeCode(frames[0])
+    stage.SetEndTimeCode(frames[1])
+    stage.SetFramesPerSecond(24)
+    stage.SetTimeCodesPerSecond(24)
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(stage.GetPrimAtPath("/shot"))
+    return stage
+
+
+def test_glass_has_the_flow_of_its_part(tmp_path, toys, make_take):
+    """A body of glass: its own flow in the second layer, that of what is behind in the first."""
+    take = make_take(clip := toys.clip(toys.asset(tmp_path / "in" / "toy.usda")))
+    write_usd(take, tmp_path, toys.silent)
+    stage = over(tmp_path / "glass.usda", toys.frames)
+    material = UsdShade.Material.Define(stage, "/shot/glass")
+    surface = UsdShade.Shader.Define(stage, "/shot/glass/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(0.3)
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    body = stage.GetPrimAtPath("/shot/vehicles/toy0/body/body")
+    UsdShade.MaterialBindingAPI.Apply(body).Bind(material)
+    stage.Save()
+    render_stage(tmp_path / "glass.usda", tmp_path / "out", frames=[FRAME], size=SIZE, passes=["flow"])
+    camera, part = take.cameras[0], "body/body"
+    flow = planes(tmp_path / "out" / camera.name / "flow" / f"glass.{camera.name}.flow.{FRAME}.exr")
+    here, view = poses(clip, camera, FRAME)
+    for name, step in (("forward", 1), ("backward", -1)):
+        found = np.stack([flow[f"translucent.{name}.{axis}"] for axis in "uv"], axis=-1)
+        behind = np.stack([flow[f"{name}.{axis}"] for axis in "uv"], axis=-1)
+        rows, columns = np.nonzero(np.isfinite(found[..., 0]))
+        points, _ = hits(view, here[part], np.array(BOXES[part][0]), camera, rows, columns)
+        there, other = poses(clip, camera, FRAME + step)
+        moved = (points - here[part][:3, 3]) @ here[part][:3, :3] @ there[part][:3, :3].T + there[part][:3, 3]
+        expected = pixels(moved, other, camera) - pixels(points, view, camera)
+        off = np.linalg.norm(found[rows, columns] - expected, axis=1)
+        assert len(rows) > 200 and np.linalg.norm(expected, axis=1).max() > 2
+        assert np.mean(off < 1e-3) > 0.99, (name, off.max())
+        assert np.isfinite(behind).all() and np.abs(behind - found)[rows, columns].max() > 0.5
+
+
 def test_translucent_discs_and_spray_have_flow_of_their_own(tmp_path, toys, make_take):
     """Through them, the first layer shows what is behind. The expected flow is that of points where rays meet the
     disc's plane, moved by the rotor's pose, and of drops moved by their velocities."""
@@ -134,15 +179,7 @@ def test_translucent_discs_and_spray_have_flow_of_their_own(tmp_path, toys, make
     clip = toys.clip(toys.asset(tmp_path / "in" / "toy.usda"), drives=rotor)
     take = make_take(clip)
     write_usd(take, tmp_path, toys.silent)
-    stage = Usd.Stage.CreateNew(str(tmp_path / "disc.usda"))
-    stage.GetRootLayer().subLayerPaths = ["shot.usda"]
-    stage.SetStartTimeCode(toys.frames[0])
-    stage.SetEndTimeCode(toys.frames[1])
-    stage.SetFramesPerSecond(24)
-    stage.SetTimeCodesPerSecond(24)
-    UsdGeom.SetStageUpAxis(stage, "Z")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(stage.GetPrimAtPath("/shot"))
+    stage = over(tmp_path / "disc.usda", toys.frames)
     stage.GetPrimAtPath("/shot/vehicles/toy0").GetVariantSets().SetSelection("rotor", "disc")
     camera = take.cameras[0]
     here, view = poses(clip, camera, FRAME)
