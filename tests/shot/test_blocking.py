@@ -19,7 +19,9 @@ FPS = Fraction(24)
 KEYS = {1001: ((0.0, 0.0, 10.0), 0.0), 1050: ((10.0, 4.0, 12.0), 30.0), 1100: ((20.0, -3.0, 9.0), -45.0)}
 
 
-def stage_with(path: Path, up: str = "Z", metres: float = 1.0, keys: Any = KEYS, parent: bool = False) -> Path:
+def stage_with(
+    path: Path, up: str = "Z", metres: float = 1.0, keys: Any = KEYS, parent: bool = False, fps: int = 24
+) -> Path:
     """A prim /World/heli keyed at world positions (m, Z up) and headings (deg), for any axes of the stage.
 
     With ``parent``, the prim above it rotates and moves all the time.
@@ -29,8 +31,8 @@ def stage_with(path: Path, up: str = "Z", metres: float = 1.0, keys: Any = KEYS,
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, up)
     UsdGeom.SetStageMetersPerUnit(stage, metres)
-    stage.SetTimeCodesPerSecond(24)
-    stage.SetFramesPerSecond(24)
+    stage.SetTimeCodesPerSecond(fps)
+    stage.SetFramesPerSecond(fps)
     stage.SetStartTimeCode(1001)
     stage.SetEndTimeCode(1100)
     world = UsdGeom.Xform.Define(stage, "/World")
@@ -126,9 +128,9 @@ def test_stepped_blocking_has_poses_without_holds(tmp_path: Path) -> None:
     assert read_blocking(path, "/World/heli", FPS).keys == ((1001, 0), (1041, 0), (1081, 0))
 
 
-def over(folder: Path, up: str, metres: float, layer: Path) -> None:
+def over(folder: Path, up: str, metres: float, layer: Path, fps: int = 24) -> None:
     """The animator's stage below our layer: both.usda."""
-    times = "timeCodesPerSecond = 24\n framesPerSecond = 24\n startTimeCode = 1001\n endTimeCode = 1100"
+    times = f"timeCodesPerSecond = {fps}\n framesPerSecond = {fps}\n startTimeCode = 1001\n endTimeCode = 1100"
     (folder / "both.usda").write_text(
         f'#usda 1.0\n(\n defaultPrim = "World"\n metersPerUnit = {metres}\n upAxis = "{up}"\n {times}\n'
         f" subLayers = [@{layer}@, @./in.usda@]\n)\n"
@@ -137,17 +139,21 @@ def over(folder: Path, up: str, metres: float, layer: Path) -> None:
 
 @pytest.mark.parametrize(("up", "metres"), [("Z", 1.0), ("Y", 0.01)])
 @pytest.mark.parametrize("parent", [False, True])
-def test_motion_written_over_the_prim_is_visible(tmp_path: Path, up: str, metres: float, parent: bool) -> None:
+@pytest.mark.parametrize("fps", [24, 25])
+def test_motion_written_over_the_prim_is_visible(
+    tmp_path: Path, up: str, metres: float, parent: bool, fps: int
+) -> None:
     from pxr import Usd, UsdGeom
 
-    blocking = read_blocking(stage_with(tmp_path / "in.usda", up, metres, parent=parent), "/World/heli", FPS)
+    path, rate = stage_with(tmp_path / "in.usda", up, metres, parent=parent, fps=fps), Fraction(fps)
+    blocking = read_blocking(path, "/World/heli", rate)
     frames = np.arange(1001.0, 1101.0)
-    t = (frames - 1001) / 24
+    t = (frames - 1001) / fps
     positions = np.stack([8 * np.sin(t), 3 * t, 10 + np.cos(t)], axis=1)
     rotations = Rotation.from_euler("ZYX", np.stack([t, 0.2 * np.sin(t), 0.3 * np.cos(t)], axis=1)).as_matrix()
     layer = write_over(blocking, frames, positions, rotations, tmp_path / "over.usdc")
-    over(tmp_path, up, metres, layer)
-    both = read_blocking(tmp_path / "both.usda", "/World/heli", FPS)
+    over(tmp_path, up, metres, layer, fps)
+    both = read_blocking(tmp_path / "both.usda", "/World/heli", rate)
     assert np.allclose(both.positions, positions, atol=1e-6)
     assert np.allclose(both.rotations, rotations, atol=1e-6)
     stage = Usd.Stage.Open(str(tmp_path / "both.usda"))

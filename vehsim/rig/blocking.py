@@ -217,6 +217,7 @@ def _check_over(layer: Any, blocking: Blocking, frames: Array, world: Array, Usd
     from vehsim.errors import ExportError
 
     both = Sdf.Layer.CreateAnonymous(".usda")
+    both.timeCodesPerSecond = layer.timeCodesPerSecond  # by default 24, to which sublayers would be stretched
     both.subLayerPaths = [layer.identifier, str(blocking.path.resolve())]
     stage = Usd.Stage.Open(both)
     (shown,) = _world_matrices(stage, [stage.GetPrimAtPath(blocking.prim)], frames)
