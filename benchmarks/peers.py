@@ -71,10 +71,10 @@ easy problems are solved at once at order 4, CasADi's total over that of `vehsim
 At equal executed error (2026-11-25, load 10), prebuilt shooting with fatrop over ours by IPOPT and by fatrop: car, 42
 segments for its 64, 1.00 and 1.7; quadrotor, 54 for its 32, 0.49 and 0.51; helicopter, 40 for its 32, 1.53 and 1.24.
 
-The quadrotor again on 2026-11-27, with free controls at both ends for all, as shooting has them: at 32 segments ours has
-the lower cost (12.6194, shooting 12.6399), and at 64 the same executed error (8.7e-4 and 9.0e-4 m), but prebuilt
-shooting with fatrop still takes 0.43 (ours by IPOPT) to 0.6 (by fatrop) of the time: of the
-three problems, the only one in which it is.
+The quadrotor again on 2026-11-27, with free controls at both ends for all, as shooting has them: at 32 segments ours
+has the lower cost (12.6194, shooting 12.6399), and at 64 the same executed error (8.7e-4 and 9.0e-4 m), but prebuilt
+shooting with fatrop still takes 0.43 (ours by IPOPT) to 0.6 (by fatrop) of the time. It is the only one of the three
+problems that shooting solves faster.
 
 ## Tried and dropped
 

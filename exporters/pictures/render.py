@@ -27,11 +27,13 @@ from vehsim.exporters.usd.stage import Shape, StageReader
 Array = NDArray[np.float64]
 
 SHADOW_MAP = 3072
-SHADOW_REACH = (20.0, 115.0)
-"""Half the width of the ground that the shadow map covers, m, minimum and maximum; it moves with the camera."""
-SHADOW_DEPTH = 17_000.0
-"""Far plane in units of the shadow map's reach. MuJoCo biases shadows by steps of the depth range; a long range
-prevents slopes under grazing light from casting jagged shadows on themselves."""
+SHADOW_REACH = (5.0, 115.0)
+"""Half the width of what the shadow map covers, m, minimum and maximum; it moves with the camera."""
+SHADOW_DEPTH = 4_000.0
+"""Far plane in units of the shadow map's reach. MuJoCo biases shadows by four steps of the depth range, here by 1.5
+texels: less, and slopes under grazing light cast jagged shadows on themselves; more, and vehicles seem to float."""
+INSTANTS = 33
+"""Number of frames at which it is found what casts shadows during a shot."""
 SUPERSAMPLE = 4
 """Largest number of drawn pixels per delivered pixel, along each side; 2 for the usual four samples. Supersampling
 smooths shadow edges and texture, which multisampling cannot."""
@@ -60,10 +62,11 @@ class StageRenderer:
         self._light = light_for(stage.sun(), stage.sky(), grounded)
         self._water = None if stage.water is None else WaterView(stage, self._light, shadows, size[0])
         self._bounds = bounds_of(stage)
-        self._reach = shadow_reach(stage, self._bounds)
+        self._shadow_axes = _across(self._light.direction)
+        self._casters = spans_of_casters(stage, self._shadow_axes, self._bounds[0])
+        self._reach = shadow_reach(stage, self._casters)
         self._haze_end = haze_end(stage, self._bounds)
         self._shades = Shades(stage)
-        self._shadow_axes = _across(self._light.direction)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
         width, height = self._supersample * size[0], self._supersample * size[1]
         self._model = self._spec(width, height).compile()
@@ -300,14 +303,17 @@ class StageRenderer:
         return (pose[:3, 3], -pose[:3, 2], pose[:3, 1]), half, shift, self._drawn(clip)
 
     def _place_lights(self) -> None:
-        """Place the sun's shadow map over the camera's view, aligned to whole texels so that shadow edges do not
-        flicker."""
+        """Place the sun's shadow map over the camera's view and what casts shadows there, aligned to whole texels so
+        that shadow edges do not flicker."""
         scene = self._canvas.scene
         eye = scene.camera[0]
         lower, upper = self._bounds
         centre = np.clip(eye.pos + 0.6 * self._reach * eye.forward, lower, upper)
         direction, texel = self._light.direction, 2 * self._reach / SHADOW_MAP
-        across = sum(np.round(centre @ axis / texel) * texel * axis for axis in self._shadow_axes)
+        inner = self._casters + np.array([[self._reach], [-self._reach]])
+        inner = np.where(inner[0] > inner[1], self._casters.mean(axis=0), inner)
+        places = np.clip(np.array(self._shadow_axes) @ centre, *inner)
+        across = np.round(places / texel) * texel @ np.array(self._shadow_axes)
         size = float(np.linalg.norm(upper - lower))
         scene.lights[SUN].pos = across + (centre @ direction - size) * direction
         scene.lights[SUN].dir = direction
@@ -447,9 +453,31 @@ def _across(direction: Array) -> tuple[Array, Array]:
     return side, np.cross(side, direction)
 
 
-def shadow_reach(stage: StageReader, bounds: tuple[Array, Array]) -> float:
-    """Half the width of the shadow map, m: four times the usual distance of what the cameras show."""
-    whole = float(np.linalg.norm(bounds[1] - bounds[0])) / 2 + 1.0
+def spans_of_casters(stage: StageReader, axes: tuple[Array, Array], lower: Array) -> Array:
+    """From where to where (2, 2) along each of two ``axes`` something casts shadows during the shot, m; ``lower``: that
+    of `bounds_of`."""
+    across = np.array(axes)
+    casting = [shape for shape in stage.shapes if _casts_shadow(shape, lower)]
+    sizes: dict[str, float] = {}  # of what moves, around its own origin
+    spans = [np.zeros((0, 2))]
+    for shape in casting:
+        if shape.group:
+            sizes[shape.group] = max(sizes.get(shape.group, 0.0), float(np.linalg.norm(shape.points, axis=1).max()))
+        else:
+            spans.append(shape.points @ across.T)
+    for frame in np.linspace(stage.frames[0], stage.frames[1], INSTANTS) if sizes else ():
+        poses = stage.matrices(frame)
+        for group, size in sizes.items():
+            place = across @ poses[group][:3, 3]
+            spans.append(np.array([place - size, place + size]))
+    every = np.concatenate(spans)
+    return np.array([every.min(axis=0), every.max(axis=0)]) if len(every) else np.zeros((2, 2))
+
+
+def shadow_reach(stage: StageReader, casters: Array) -> float:
+    """Half the width of the shadow map, m: that of all ``casters`` (2, 2), see `spans_of_casters`, but no more than
+    four times the usual distance of what the cameras show."""
+    whole = float((casters[1] - casters[0]).max()) / 2 + 1.0
     usual = _usual_distance(stage)
     return float(np.clip(whole if usual is None else min(4.0 * usual, whole), *SHADOW_REACH))
 

@@ -12,7 +12,13 @@ import pytest
 
 from vehsim.errors import InputError
 from vehsim.exporters.pictures.frames import render_stage
-from vehsim.exporters.pictures.render import SHADOW_REACH, StageRenderer, bounds_of, shadow_reach
+from vehsim.exporters.pictures.render import (
+    SHADOW_REACH,
+    StageRenderer,
+    bounds_of,
+    shadow_reach,
+    spans_of_casters,
+)
 from vehsim.exporters.usd.metadata import author_points
 from vehsim.exporters.usd.scenery.finishes import FINISHES, coordinates
 from vehsim.exporters.usd.scenery.finishes import picture as tile_of
@@ -20,6 +26,7 @@ from vehsim.exporters.usd.stage import StageReader
 from vehsim.world.world import World
 
 SIZE = (320, 180)
+AXES = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
 
 
 @pytest.fixture
@@ -502,13 +509,35 @@ def test_distant_helicopters_are_not_lost_in_haze(new_stage):
 @pytest.mark.parametrize("scope", ["vehicles", "scenery"])
 def test_shadows_are_as_fine_for_a_vehicle_at_rest(scope, new_stage):
     """The shadow map covers four times the camera's distance of 10 m, not the whole ground."""
-    quad(new_stage, "/top/ground", (0, 300, -100), 100.0, (0.2, 0.2, 0.2))
+    quad(new_stage, "/top/ground", (0, 300, -100), 200.0, (0.2, 0.2, 0.2))
     quad(new_stage, f"/top/{scope}/one", (0, 0, 0), 1.0, (0.8, 0.02, 0.02))
     new_stage.Save()
     stage = StageReader(new_stage.GetRootLayer().realPath)
     assert not stage.groups
-    reach = shadow_reach(stage, bounds_of(stage))
+    reach = shadow_reach(stage, spans_of_casters(stage, AXES, bounds_of(stage)[0]))
     assert reach == (pytest.approx(40.0) if scope == "vehicles" else SHADOW_REACH[1])
+
+
+def test_the_shadow_map_covers_no_more_than_what_casts_shadows(new_stage):
+    """Ground casts none: without hills, the map is as fine as the vehicles' paths permit. Texels of a map of 88 m were
+    6 cm wide, which showed beside a parked car."""
+    from pxr import Gf, UsdGeom
+
+    quad(new_stage, "/top/ground", (0, 0, 0), 1.0, (0.2, 0.2, 0.2))
+    ground = [(-900, -900, -9), (900, -900, -9), (900, 900, -9), (-900, 900, -9)]
+    UsdGeom.Mesh(new_stage.GetPrimAtPath("/top/ground")).GetPointsAttr().Set(ground)
+    mover = UsdGeom.Xform.Define(new_stage, "/top/mover")
+    translate = mover.AddTranslateOp()
+    translate.Set(Gf.Vec3d(-30, 0, 0), 1)
+    translate.Set(Gf.Vec3d(10, 0, 0), 3)
+    quad(new_stage, "/top/mover/quad", (0, 0, 0), 1.0, (0.8, 0.02, 0.02))
+    quad(new_stage, "/top/wall", (4, 0, -6), 1.0, (0.8, 0.02, 0.02))
+    new_stage.Save()
+    stage = StageReader(new_stage.GetRootLayer().realPath)
+    casters = spans_of_casters(stage, AXES, bounds_of(stage)[0])
+    size = 2**0.5
+    assert np.allclose(casters, [[-30 - size, -7], [10 + size, size]])
+    assert shadow_reach(stage, casters) == pytest.approx(20 + size + 1)
 
 
 @pytest.mark.parametrize("place", [(10.0, -20.0, 3.0), (500_223.25, 4_212_445.5, 150.0)])
