@@ -22,6 +22,8 @@ CELLS = 56
 """Cells along a vehicle's longest side."""
 MARGIN = 0.5
 """How far the grid extends around and below a vehicle, as a share of its longest horizontal side."""
+INSTANTS = 17
+"""Number of frames at which it is found which parts of a vehicle move sideways."""
 RINGS, SPOKES = 4, 12
 """Directions towards the sky: elevations of equal cosine-weighted solid angle, and azimuths."""
 FADES = (0.04, 0.16)
@@ -81,32 +83,49 @@ class Shade:
 
 
 class Shades:
-    """The shades of a stage's vehicles, by the path of their root: a moving prim that no other moves.
+    """The shades of a stage's vehicles, by the path of a moving prim: their roots, which no other prim moves, and parts
+    that move sideways below them, such as trailers.
 
-    A vehicle's shade is computed when it is first asked for, from all opaque parts below the root, as they are at the
-    first frame; vehicles of the same shape share it. In empty space there is nothing to shade.
+    A shade is computed when it is first asked for, from all opaque parts below the prim that have no shade of their
+    own, as they are at the first frame; equal shapes share it. In empty space there is nothing to shade.
     """
 
     def __init__(self, stage: StageReader) -> None:
         standing = stage.water is not None or any(not shape.group for shape in stage.shapes)
-        groups, poses = stage.groups if standing else (), stage.matrices(stage.frames[0])
-        self.roots = [group for group in groups if not any(group.startswith(f"{other}/") for other in groups)]
-        self._parts = {
-            root: [
-                (np.linalg.inv(poses[root]) @ poses[shape.group], shape)
+        instants = np.linspace(stage.frames[0], stage.frames[1], INSTANTS)
+        poses = [stage.matrices(frame) for frame in instants] if standing and stage.groups else [{}]
+        self._first = poses[0]
+        self.bodies: list[str] = []
+        self._roots: dict[str, str] = {}
+        self._parts: dict[str, list[tuple[Array, Shape]]] = {}
+        for group in sorted(poses[0]):
+            above = [body for body in self.bodies if group.startswith(f"{body}/")]
+            root = self._roots[above[0]] if above else group
+            parts = [
+                (np.linalg.inv(poses[0][root]) @ poses[0][shape.group], shape)
                 for shape in stage.shapes
-                if shape.surface.opacity == 1 and (shape.group == root or shape.group.startswith(f"{root}/"))
+                if shape.surface.opacity == 1 and (shape.group == group or shape.group.startswith(f"{group}/"))
             ]
-            for root in self.roots
-        }
+            if above:
+                if not _moves_sideways(group, above[-1], root, parts, self._parts[root], poses):
+                    continue
+                own = {id(shape) for _, shape in parts}
+                self._parts[above[-1]] = [part for part in self._parts[above[-1]] if id(part[1]) not in own]
+            self.bodies.append(group)
+            self._roots[group], self._parts[group] = root, parts
         self._of_shape: dict[bytes, Shade] = {}
         self._shades: dict[str, Shade | None] = {}
 
-    def __getitem__(self, root: str) -> Shade | None:
-        """The shade of a vehicle; None if nothing of it is opaque."""
-        if root not in self._shades:
-            self._shades[root] = self._made(self._parts[root])
-        return self._shades[root]
+    def frame(self, body: str, poses: dict[str, Array]) -> Array:
+        """Pose (4, 4) of the frame of a shade when prims have these ``poses``: its root's, moved with the body."""
+        first = self._first
+        return np.asarray(poses[body] @ np.linalg.inv(first[body]) @ first[self._roots[body]])
+
+    def __getitem__(self, body: str) -> Shade | None:
+        """The shade of a vehicle or a part; None if nothing of it is opaque."""
+        if body not in self._shades:
+            self._shades[body] = self._made(self._parts[body])
+        return self._shades[body]
 
     def _made(self, parts: list[tuple[Array, Shape]]) -> Shade | None:
         if not parts:
@@ -118,6 +137,29 @@ class Shades:
         if key not in self._of_shape:
             self._of_shape[key] = Shade.of(points, faces)
         return self._of_shape[key]
+
+
+def _moves_sideways(
+    group: str,
+    above: str,
+    root: str,
+    parts: list[tuple[Array, Shape]],
+    whole: list[tuple[Array, Shape]],
+    poses: list[dict[str, Array]],
+) -> bool:
+    """Whether a prim's ``parts`` move by more than a cell of its vehicle's shade, relative to the prim ``above`` it.
+
+    Parts are given in the frame of the root, as is the ``whole`` vehicle; the middle of wheels and rotors stays.
+    """
+    if not parts or not whole:
+        return False
+    points, every = (np.concatenate([s.points @ T[:3, :3].T + T[:3, 3] for T, s in of]) for of in (parts, whole))
+    cell = float((every.max(axis=0) - every.min(axis=0))[:2].max()) / CELLS
+    middle = np.append(points.mean(axis=0), 1.0)
+    first = poses[0]
+    in_group, in_above = (np.linalg.inv(first[each]) @ first[root] for each in (group, above))
+    places = np.array([np.linalg.inv(in_above) @ np.linalg.inv(now[above]) @ now[group] @ in_group for now in poses])
+    return bool(np.abs((places @ middle - middle)[:, :2]).max() > cell)
 
 
 def _window(count: int, width: float) -> NDArray[np.float32]:

@@ -253,8 +253,8 @@ class StageRenderer:
         if self._water is not None:
             strength[self._canvas.draw_ids(self.size) == self._model.geom("water").id] = ON_WATER
         poses = self.stage.matrices(frame)
-        for root in self._shades.roots:
-            shade, T_wr = self._shades[root], poses[root]
+        for body in self._shades.bodies:
+            shade, T_wr = self._shades[body], self._shades.frame(body, poses)
             part = shade and self._part(shade.corners @ T_wr[:3, :3].T + T_wr[:3, 3], camera, frame)
             if shade is None or part is None:
                 continue

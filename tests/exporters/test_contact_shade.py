@@ -150,11 +150,11 @@ def test_vehicles_of_one_shape_share_their_shade(new_stage, add_box):
     for name, size in (("a", 1), ("b", 1), ("c", 2)):
         add_box(stage, f"/top/{name}/box", (size, 1, 1), (0, 0, 0))
     stage.GetRootLayer().Save()
-    assert not Shades(StageReader(stage.GetRootLayer().realPath)).roots  # in empty space
+    assert not Shades(StageReader(stage.GetRootLayer().realPath)).bodies  # in empty space
     add_box(stage, "/top/ground", (9, 9, 1), (0, 0, -2))
     stage.GetRootLayer().Save()
     shades = Shades(StageReader(stage.GetRootLayer().realPath))
-    assert shades.roots == ["/top/a", "/top/b", "/top/c"]
+    assert shades.bodies == ["/top/a", "/top/b", "/top/c"]
     assert shades["/top/a"] is shades["/top/b"] is not None
     assert shades["/top/c"] is not shades["/top/a"]
 
@@ -171,4 +171,36 @@ def test_what_stands_still_has_a_shade_if_it_has_a_mass(parked, new_stage, add_b
     add_box(stage, "/top/ground", (60, 60, 0.2), (0, 0, -0.1))
     add_box(stage, "/top/a/box", (2, 2, 1), (0, 0, 0.5))
     stage.GetRootLayer().Save()
-    assert Shades(StageReader(stage.GetRootLayer().realPath)).roots == ["/top/a"] * parked
+    assert Shades(StageReader(stage.GetRootLayer().realPath)).bodies == ["/top/a"] * parked
+
+
+def test_a_trailer_takes_its_shade_with_it(new_stage, add_box):
+    """A truck's shade showed its trailer as on the first frame, beside it when it was turned. What only spins or
+    springs has none of its own."""
+    from pxr import Gf, UsdGeom
+
+    stage = new_stage("truck.usda", "truck")
+    for name, place, turn, rise in (("trailer", (-2, 0, 0), 90.0, 0), ("wheel", (1, 0, 0.3), 0.0, 0.2)):
+        part = UsdGeom.Xform.Define(stage, f"/top/truck/{name}")
+        moved, turned = part.AddTranslateOp(), part.AddRotateZOp()
+        for frame in (1, 2):
+            moved.Set(Gf.Vec3d(*place) + Gf.Vec3d(0, 0, rise * (frame - 1)), frame)
+            turned.Set(turn * (frame - 1), frame)
+    add_box(stage, "/top/ground", (60, 60, 0.2), (0, 0, -0.1))
+    add_box(stage, "/top/truck/box", (4, 2, 1), (0, 0, 0.5))
+    add_box(stage, "/top/truck/trailer/box", (8, 2, 1), (-5, 0, 0.5))
+    add_box(stage, "/top/truck/wheel/box", (0.6, 0.2, 0.6), (0, 0, 0))
+    stage.GetRootLayer().Save()
+    reader = StageReader(stage.GetRootLayer().realPath)
+    shades = Shades(reader)
+    assert shades.bodies == ["/top/truck", "/top/truck/trailer"]
+    places = {"truck": (0, 0), "straight": (-7, 0), "turned": (-2, -5)}
+
+    def lost(place, frame):
+        poses = reader.matrices(frame)
+        frames = [(shades[body], shades.frame(body, poses)) for body in shades.bodies]
+        return max(shade.at((np.array([[*places[place], 0.0]]) - T[:3, 3]) @ T[:3, :3])[0] for shade, T in frames)
+
+    assert lost("truck", 1) == pytest.approx(lost("truck", 2), abs=0.02)
+    assert lost("straight", 1) == pytest.approx(lost("turned", 2), abs=0.02)
+    assert min(lost("straight", 1), lost("truck", 1)) > 0.7 and max(lost("straight", 2), lost("turned", 1)) < 0.1
