@@ -1,5 +1,6 @@
 """Flight among obstacles: clear according to another library, between knots too; and landings."""
 
+import warnings
 from types import SimpleNamespace
 
 import igl
@@ -16,7 +17,7 @@ from vehsim.planning import planner
 from vehsim.planning.certificates import certify
 from vehsim.planning.guesses import routes
 from vehsim.planning.guesses.routes import around
-from vehsim.planning.request.landing import landing_clearance
+from vehsim.planning.request.landing import landing_clearance, rounded
 from vehsim.planning.request.ranges import stay
 from vehsim.planning.request.request import make_request
 from vehsim.rig.parts import solids
@@ -265,6 +266,23 @@ def test_comes_down_gently_and_never_into_the_ground(touchdown, helicopter):
     there = np.vstack([points @ T[:3, :3].T + T[:3, 3] for T in matrices])
     squared = igl.point_mesh_squared_distance(there, world.terrain.vertices, world.terrain.faces)[0]
     assert np.sqrt(squared.min()) > 1.0 - 0.02
+
+
+def test_approaches_a_place_among_hills(helicopter):
+    """Tighter solves must be tighter beside the landing too: others ended 0.25 m too near the slope above it."""
+    world = World("hills")
+    marks = [
+        Mark(1001, position=(-60, -30, 25), velocity=(12, 0, 0)),
+        Mark(1361, position=(55, 0, 0), heading=60, on_ground=True),
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it stands up to half a metre above the ground
+        plan = vehsim.plan(helicopter, world, marks)
+    assert plan.success, plan.message
+    motion = plan.clip.at(np.linspace(0, plan.duration, 1500))
+    away = np.linalg.norm(motion.positions - plan.clip.positions[-1], axis=1)
+    gaps = world.clearance(helicopter, motion.positions, motion.orientations, channels=motion.channels)
+    assert (gaps >= landing_clearance(rounded(away**2), 1.0, 0.0) - 0.02).all()
 
 
 def test_landing_on_rough_ground_warns(helicopter):

@@ -192,13 +192,15 @@ class Clearance(Block):
         if self.cover is None:
             return
         marks = self.request.marks
-        touching = [problem.parameter(_touching(i), 3 + len(self.cover.radii)) for i in self._landings()]
+        landed = self._landings()
+        touching = [problem.parameter(_touching(i), 3 + len(self.cover.radii)) for i in landed]
+        slope = problem.parameter("landing slope", 1) if landed else np.zeros(0, np.intp)
         for hazard in self.cover.hazards():
             for site, y in _places(layout, marks).items():
                 if hazard.moves:
                     parameters = {"pose": problem.parameter(f"{hazard.name}.pose at {site.name}", 12, y.shape[1])}
                 else:
-                    parameters = {"landings": np.concatenate([np.zeros(0, np.intp), *touching])}
+                    parameters = {"landings": np.concatenate([np.zeros(0, np.intp), *touching]), "slope": slope}
                     y = y if self.near is None else y[:, _split(self.near, layout, marks)[site]]
                     if self.spare is not None:
                         count = len(self.cover.radii), y.shape[1]
@@ -212,7 +214,10 @@ class Clearance(Block):
             return values
         values |= {weight_of(name): self.request.weights[name] for name in self.costs}
         if self.cover.static is not None:
-            values |= {_touching(i): self._touching(mark) for i, mark in self._landings().items()}
+            landed = self._landings()
+            values |= {_touching(i): self._touching(mark) for i, mark in landed.items()}
+            if landed:  # a tighter clearance must be tighter near the landing too
+                values["landing slope"] = SLOPE * self.required / max(self.request.clearance, SLACK)
         if self.spare is not None:
             near = np.ones(len(self.spare), bool) if self.near is None else self.near
             active = _split(near, trajectory.layout, self.request.marks)
@@ -428,8 +433,8 @@ def clearance_element(
 
     Parameters: the requested ``clearance`` and the weights of ``costs``. For everything at rest also ``landings``: for
     each of the ``landed`` marks, its root position (3,) m and the distances of its spheres from everything at rest (k,)
-    m; with ``spare``, that of every sphere (k,) m. For a moving obstacle also its ``pose``: position (3,) m and columns
-    of its rotation (9,).
+    m; the ``slope`` towards all of them; with ``spare``, that of every sphere (k,) m. For a moving obstacle also its
+    ``pose``: position (3,) m and columns of its rotation (9,).
     """
     v, radii = transcription.symbols(*site.variables), ca.DM(cover.radii)
     view = site.view(transcription, v)
@@ -444,10 +449,11 @@ def clearance_element(
     else:
         width = 3 + len(points)
         given = parameters["landings"] = ca.SX.sym("landings", landed * width)
+        slope = parameters["slope"] = ca.SX.sym("slope", min(landed, 1))
         for landing in ca.vertsplit(given, width) if landed else []:
             distance = rounded_distance(view.position, landing[:3])
             touching = ca.fmin(landing[3:], clearance - ROUND)
-            wanted = ca.fmin(wanted, landing_clearance(distance, clearance, touching, ca.tanh))
+            wanted = ca.fmin(wanted, landing_clearance(distance, clearance, touching, ca.tanh, slope))
     if spare:
         parameters["spare"] = ca.SX.sym("spare", len(points))
         wanted -= parameters["spare"]

@@ -42,10 +42,10 @@ def attitude(mark: Mark) -> Array:
     return from_yaw(np.deg2rad(mark.heading or 0.0))
 
 
-def landing_clearance(distance: Any, clearance: Any, touching: Any, tanh: Any = np.tanh) -> Any:
+def landing_clearance(distance: Any, clearance: Any, touching: Any, tanh: Any = np.tanh, slope: Any = SLOPE) -> Any:
     """The requested clearance, m, at ``distance`` m from a landing, where it is ``touching`` m: a rounded cone."""
     lack = clearance - touching + 1e-9  # without any clearance too, this is a number
-    return clearance - lack * (1 - tanh(SLOPE * distance / lack))
+    return clearance - lack * (1 - tanh(slope * distance / lack))
 
 
 def rounded_distance(position: Expr, place: Expr) -> Expr:
