@@ -18,7 +18,7 @@ from vehsim.errors import ExportError, InputError
 from vehsim.exporters.pictures.burn_in import burned_in
 from vehsim.exporters.pictures.contact_sheet import write_contact_sheet
 from vehsim.exporters.pictures.motion_passes import openexr, write_exr
-from vehsim.exporters.pictures.passes import LEGEND, SUFFIXES, pass_path, write_legend
+from vehsim.exporters.pictures.passes import LEGEND, SUFFIXES, pass_path, picture_path, write_legend
 from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.split import write_split
 from vehsim.exporters.usd.stage import StageReader
@@ -149,8 +149,7 @@ def _render(
 
 
 def _path(stage: StageReader, out: Path, camera: str, frame: int) -> Path:
-    shot = Path(stage.path).stem
-    return out / camera / f"{shot}.{camera}.{frame:04d}.png"
+    return picture_path(out, Path(stage.path).stem, camera, frame)
 
 
 def _processes(pictures: int) -> int:

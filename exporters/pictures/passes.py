@@ -25,6 +25,11 @@ SUFFIXES = {"depth": ".tif", "segmentation": ".png", "flow": ".exr", "normals": 
 LEGEND = "legend.json"
 
 
+def picture_path(folder: Path, shot: str, camera: str, frame: int) -> Path:
+    """The picture of a frame: its number has four digits after its sign, as OpenTimelineIO and FFmpeg name them."""
+    return folder / camera / f"{shot}.{camera}.{'-' * (frame < 0)}{abs(frame):04d}.png"
+
+
 def pass_path(picture: Path, kind: str) -> Path:
     """The file of a ``picture``'s pass: ``<camera>/depth/<shot>.<camera>.depth.1001.tif``."""
     name, _, frame = picture.stem.rpartition(".")

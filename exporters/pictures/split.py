@@ -13,6 +13,7 @@ import numpy as np
 
 from vehsim.delivery.take import PANEL_GAP
 from vehsim.exporters.pictures.burn_in import captioned
+from vehsim.exporters.pictures.passes import picture_path
 
 if TYPE_CHECKING:
     from vehsim.delivery.take import Take
@@ -30,12 +31,12 @@ def write_split(take: Take, folder: Path, cameras: Sequence[str], frames: Sequen
     for frame in frames:
         panels = []
         for camera in cameras:
-            with Image.open(folder / "frames" / camera / f"{take.name}.{camera}.{frame:04d}.png") as picture:
+            with Image.open(picture_path(folder / "frames", take.name, camera, frame)) as picture:
                 panels.append(captioned(picture.convert("RGB"), caption(take, camera, frame)))
         wide = Image.new("RGB", take.render.size)
         for k, panel in enumerate(panels):
             wide.paste(panel, (k * (panel.width + PANEL_GAP), 0))
-        path = folder / "frames" / NAME / f"{take.name}.{NAME}.{frame:04d}.png"
+        path = picture_path(folder / "frames", take.name, NAME, frame)
         wide.save(path, compress_level=2)
         written.append(path)
     return written

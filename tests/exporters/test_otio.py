@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import pytest
 
 from vehsim.cameras.camera import CameraRig
 from vehsim.cameras.framing import solve_camera
+from vehsim.exporters.pictures.passes import picture_path
 
 otio = pytest.importorskip("opentimelineio", reason="needs OpenTimelineIO, which has no wheel for Python 3.14")
 
@@ -28,6 +30,16 @@ def test_a_cut_list_becomes_clips_with_their_frames(tmp_path, toys, make_take, f
     assert found == [("chase", 1001, 9), ("wide", 1010, 10), ("chase", 1020, 5)]
     assert timeline.global_start_time.rate == pytest.approx(float(fps))
     assert track[1].media_reference.target_url_for_image_number(9) == "frames/wide/shot.wide.1010.png"
+
+
+@pytest.mark.parametrize("frame", [-1028, -28, 0, 7, 1010, 12345])
+def test_pictures_have_the_names_that_a_timeline_gives_them(tmp_path, toys, make_take, frame):
+    """Also those of negative frames, whose sign comes before the four digits."""
+    take = make_take(toys.clip(toys.asset(tmp_path / "in" / "toy.usda")))
+    folder = replace(take, frames=(frame, frame + 9)).export(tmp_path / "out", to=("otio",))
+    ((clip,),) = otio.adapters.read_from_file(str(folder / "shot.otio")).tracks
+    said = [clip.media_reference.target_url_for_image_number(k) for k in range(10)]
+    assert said == [picture_path(Path("frames"), "shot", "chase", frame + k).as_posix() for k in range(10)]
 
 
 def test_without_a_cut_list_every_camera_has_a_track(tmp_path, toys, make_take):
