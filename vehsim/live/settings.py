@@ -5,6 +5,7 @@ Settings and handles are read from the JSON schema of the shot file and the file
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,6 +14,8 @@ from functools import cache
 from typing import Any
 
 from vehsim.intake.tables import DIRECTION, PLACE
+from vehsim.runtime.cache import kept
+from vehsim.runtime.code import code, version
 
 KINDS = ("number", "integer", "boolean")
 KEY = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
@@ -161,9 +164,13 @@ def settings(data: Mapping[str, Any], variants: Sequence[Mapping[str, list[str]]
 
 @cache
 def _schema() -> dict[str, Any]:
-    from vehsim.shot.schema.shot_file import ShotFile
+    def make() -> bytes:
+        from vehsim.shot.schema.shot_file import ShotFile
 
-    return ShotFile.model_json_schema(by_alias=True)
+        return json.dumps(ShotFile.model_json_schema(by_alias=True)).encode()
+
+    made: dict[str, Any] = json.loads(kept("schema", (code(), version("pydantic")), make))
+    return made
 
 
 @dataclass(frozen=True)
