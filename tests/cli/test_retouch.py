@@ -183,6 +183,52 @@ def test_only_edits_beyond_the_motion_are_warned_of(
     assert said == ([f"{place}; they are ignored"] if moved else [])
 
 
+BESIDE = """
+[world]
+terrain = "flat"
+[[vehicle]]
+name = "handle"
+asset = "tumbler"
+[vehicle.motion]
+method = "integrate"
+duration = 2
+start = { position = [0, 9, 3], spin = [63, 5, 41] }
+[[vehicle]]
+name = "truck"
+asset = "truck"
+[vehicle.motion]
+method = "sinusoid"
+limits = { speed = 3 }
+mark = [{ frame = 1001, position = [0, -20, 0] }, { frame = "free", position = [-6, -20, 0] }]
+"""
+
+
+def test_vehicles_that_the_edit_leaves_alone_stay_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also one that cannot be retouched, and a truck that dives when it brakes."""
+    from pxr import Usd
+
+    (tmp_path / "shot.toml").write_text(SHOT + BESIDE)
+    assert cli.run(["export", str(tmp_path / "shot.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    stage = over(tmp_path / "out" / "drive", tmp_path / "edited.usda", "exact")
+    assert isinstance(stage, Usd.Stage)
+    track = stage.GetPrimAtPath(PRIM).GetAttribute("xformOp:translate")
+    for frame, place in [(frame, track.Get(frame)) for frame in range(1001, 1098)]:
+        track.Set(place + type(place)(0, bump(frame), 0), frame)
+    stage.GetRootLayer().Save()
+    capsys.readouterr()
+    edit = ["--edit", str(tmp_path / "edited.usda"), "--out", str(tmp_path / "new"), "--log", "json"]
+    assert cli.run(["retouch", str(tmp_path / "out" / "drive"), *edit]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    said = [event["message"] for event in events if event["event"] == "warning"]
+    assert not [message for message in said if "without effect" in message]
+    report = json.loads((tmp_path / "new" / "drive" / "report.json").read_text())
+    about = report["solved"]["vehicles"]
+    assert len(about["car"]["edit"]["touched"]) == 1
+    assert "edit" not in about["handle"]
+
+
 def test_a_refused_retouch_is_an_event_with_its_problem(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["retouch", str(tmp_path), "--edit", "edited.usda", "--out", str(tmp_path), "--log", "json"]
     assert cli.run(arguments) == cli.WRONG_INPUT

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +24,10 @@ if TYPE_CHECKING:
 
 NAMED = 5
 """Number of prims that a warning names."""
-ANOTHER = 2e-3
-"""Distance between the delivered and the solved motion above which they are two motions, m."""
+ANOTHER, TURNED = 2e-3, 0.2
+"""Distance, m, and angle, degrees, between two motions above which they are not the same."""
+EDIT = re.compile(r"vehicle\[(\d+)\]\.edit\b")
+"""The key of a problem with a vehicle's edit."""
 
 
 def edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Progress) -> Shot:
@@ -71,7 +75,15 @@ def _edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Prog
     for vehicle, prim in found.items():
         vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
     edited = Shot.from_dict(data, folder, before.source)
-    if errors := [problem for problem in edited.check() if problem.severity == "error"]:
+    errors = [problem for problem in edited.check() if problem.severity == "error"]
+    refused = {int(match[1]) for error in errors if (match := EDIT.match(error.key))}
+    for table in [edited.file.vehicle[i] for i in sorted(refused)]:  # not asked for: its motion stays
+        if _as_delivered(delivery, name, table.name, edit, found[table.name], edited.vehicle(table).rig, edited.fps):
+            del found[table.name], vehicles[table.name]["edit"]
+    if refused and found:
+        edited = Shot.from_dict(data, folder, before.source)
+        errors = [problem for problem in edited.check() if problem.severity == "error"]
+    if errors:
         raise ShotError(errors)
     clips = edited.unedited().motion(progress)
     for vehicle in found:
@@ -99,6 +111,23 @@ def prims_in(edit: Path, wanted: dict[str, str]) -> dict[str, str]:
     if not found:
         raise InputError("no vehicle of the delivery moves in it", f"edit {', '.join(wanted.values())}", file=edit)
     return found
+
+
+def _as_delivered(delivery: Path, name: str, vehicle: str, edit: Path, prim: str, rig: Any, fps: Fraction) -> bool:
+    """Whether a vehicle's root in the edited stage is where it was delivered."""
+    from vehsim.exporters.checks.audit import stage_of
+    from vehsim.rig.blocking import read_edit
+
+    stage = stage_of(delivery, name)
+    if stage is None or rig is None:
+        return False
+    try:
+        before = read_edit(stage, f"/{name}/vehicles/{vehicle}", fps, rig)
+        after = read_edit(edit, prim, fps, rig)
+    except InputError:  # the check of the edit tells it
+        return False
+    change = before.departure(after.frames, after.positions, after.rotations)
+    return bool(change) and change["largest"] <= ANOTHER and change["largest_turn"] <= TURNED
 
 
 def _check_same(delivery: Path, name: str, vehicle: str, clip: Any) -> None:

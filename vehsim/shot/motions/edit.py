@@ -81,7 +81,9 @@ class EditTable(Table):
         from pxr import Usd
 
         from vehsim.planning.retouch import KEPT, retouch
+        from vehsim.world.ground.placing import place_on_terrain
 
+        clip = place_on_terrain(clip, context.world)  # as it was delivered
         with Usd.StageCacheContext(Usd.StageCache()):  # the stage is opened once
             edited = self.read(clip.vehicle, context)
             parts = self._parts_moved(edited, clip, context, curves)
@@ -124,14 +126,12 @@ class EditTable(Table):
         """Wheels, rotors and other parts that the edit poses otherwise than the solved motion ``clip``."""
         from vehsim.rig.edited import parts_moved
         from vehsim.rig.tolerances import curve_tolerances
-        from vehsim.world.ground.placing import place_on_terrain
 
         assert clip.vehicle.rig is not None
         frames = edited.frames[(edited.frames >= clip.start_frame) & (edited.frames <= clip.end_frame)]
         if not len(frames):
             return []
-        placed = place_on_terrain(clip, context.world)
-        channels = placed.at(np.minimum((frames - clip.start_frame) / float(clip.fps), clip.times[-1])).channels
+        channels = clip.at(np.minimum((frames - clip.start_frame) / float(clip.fps), clip.times[-1])).channels
         rate = float(context.fps)
         loose = None if curves is None else curve_tolerances(clip.vehicle.rig, *curves)
         return parts_moved(edited.path, edited.prim, clip.vehicle.rig, channels, frames, rate, loose)
