@@ -312,6 +312,16 @@ def test_a_boat_on_a_beach_rests_in_small_waves(height, still, monkeypatch):
     assert (evaluations[0] < 1000) == still
 
 
+def test_a_block_settles_in_few_evaluations(block, monkeypatch):
+    """Dropped on an edge, with a strong damper, it comes to rest to the bit, in steps as long as the damper permits."""
+    evaluations, touching = [], ContactScene._touching
+    monkeypatch.setattr(ContactScene, "_touching", lambda *given: (evaluations.append(0), touching(*given))[1])
+    start = State(position=(0, 0, 0.21), orientation=(np.cos(0.01), np.sin(0.01), 0, 0))
+    world = World(obstacles=[FLOOR], contact=Contact(0.4, 0.05, 2.0))
+    clip = vehsim.simulate(block(), world, None, start, duration=1.5)
+    assert not clip.twists[-5:].any() and len(evaluations) < 1000
+
+
 def test_a_body_that_rocks_is_as_slow_as_its_points():
     """Not as a sphere around it: a boat on its keel has come to rest although its bow is far from its middle."""
     boat = vehsim.load_vehicle("boat")

@@ -54,8 +54,9 @@ RESOLVED = 0.06
 the damper, which starts suddenly, dominates."""
 RESTING = 0.25
 """The same if nothing closes or rebounds faster than `GENTLE`."""
-DAMPED = 0.1
-"""The same over the damping ratio: with longer steps, a strong damper would alternate instead of coming to rest."""
+DAMPED = 0.2
+"""The same over the damping ratio: with longer steps, a strong damper would alternate instead of coming to rest. Half
+as long where bodies lean on each other, since the dampers on one body add up."""
 GENTLE = 0.3
 """m/s"""
 SIDEWAYS = 0.7
@@ -108,9 +109,10 @@ class Contact:
         """The speed for which a pair is stiff that closes at ``closing`` m/s."""
         return min(max(FIRM * closing, GENTLEST), float(self.speed))
 
-    def step_of(self, speed: float, impact: bool) -> float:
-        """The longest step of a pair that is stiff for ``speed`` m/s, s."""
-        phase = RESOLVED / (1 + self.damping) if impact else min(RESTING, DAMPED / max(self.damping, 1e-9))
+    def step_of(self, speed: float, impact: bool, leaning: bool = False) -> float:
+        """The longest step of a pair that is stiff for ``speed`` m/s, s; ``leaning``: both bodies move."""
+        damped = (DAMPED / 2 if leaning else DAMPED) / max(self.damping, 1e-9)
+        phase = RESOLVED / (1 + self.damping) if impact else min(RESTING, damped)
         return phase * DEPTH / speed
 
     @property
@@ -285,7 +287,8 @@ class ContactScene:
             one, other = moving[a], None if b is None else moving[b]
             grip = self._grips[a, b, name] = grips.get((a, b, name)) or Grip(one, other)
             push, closing, kick = self._push(one, other, points, grip, softer)
-            longest = min(longest, self.contact.step_of(grip.speed, max(kick, float(closing.max())) > GENTLE))
+            impact, leaning = max(kick, float(closing.max())) > GENTLE, self._yielding(b) is not None
+            longest = min(longest, self.contact.step_of(grip.speed, impact, leaning))
             self._pushes[a, b, name] = points, push, closing
         for (a, b, name), (points, push, closing) in self._pushes.items():
             total[a] += moving[a].wrench(points.places, push)
