@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 NAME = "side_by_side"
 """The folder of its frames, and the name of its film in place of a camera."""
+NONE = 1e-6
+"""Share of its greatest energy up to which a vehicle starts with none."""
 
 
 def write_split(take: Take, folder: Path, cameras: Sequence[str], frames: Sequence[int]) -> list[Path]:
@@ -43,11 +45,12 @@ def write_split(take: Take, folder: Path, cameras: Sequence[str], frames: Sequen
 
 
 def caption(take: Take, camera: str, frame: float) -> str:
-    """A camera's caption; ``{NAME}`` is replaced by that vehicle's current energy, in % of its initial energy."""
+    """A camera's caption; ``{NAME}`` is replaced by that vehicle's current energy, in % of its initial energy, or in J
+    if it starts with none."""
     text = take.render.captions.get(camera, "")
     for name, clip in take.clips.items():
         if f"{{{name}}}" in text:
             energy = clip.energy["kinetic"] + clip.energy["potential"]
-            now = np.interp(frame, clip.frames, energy) / energy[0]
-            text = text.replace(f"{{{name}}}", f"{now:.0%}")
+            now, none = np.interp(frame, clip.frames, energy), abs(energy[0]) <= NONE * np.abs(energy).max()
+            text = text.replace(f"{{{name}}}", f"{now:.0f} J" if none else f"{now / energy[0]:.0%}")
     return text

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
+
 import av
 import numpy as np
 import pytest
@@ -70,6 +73,29 @@ def test_captions_show_the_remaining_energy(delivery):
     assert caption(take, "a", 1013) == f"RK4: {energy[-1] / energy[0]:.0%} {{unknown}}"
     assert energy[-1] < 0.97 * energy[0]
     assert caption(take, "b", 1001) == ""
+
+
+def test_captions_of_a_vehicle_that_starts_with_no_energy_are_in_joules(delivery):
+    take, _ = delivery
+    clip = take.clips["slow"]
+    for first, share in ((0.0, 0.5), (1e-30, 1.0)):
+        rising = np.linspace(first, 50.0, len(clip))
+        started = replace(clip, energy={"kinetic": rising, "potential": np.zeros(len(clip))})
+        assert (
+            caption(replace(take, clips={"slow": started}), "a", 1001 + 12 * share)
+            == f"RK4: {50 * share:.0f} J {{unknown}}"
+        )
+
+
+def test_captions_that_a_cut_list_hides_are_warned_of():
+    """With a cut list, only the cut is rendered unless cameras are named; the cut may have a caption too."""
+    cut = '\n[[cut]]\nframe = 1001\ncamera = "b"\n'
+    text = SHOT.replace("\n[render]", f"{cut}[render]") + 'cut = "all of it"\n'
+    (problem,) = Shot.from_dict(tomllib.loads(text)).check()
+    assert (problem.key, problem.severity) == ("render.captions.a", "warning")
+    assert "not rendered" in problem.message
+    text = text.replace("every = 6", 'every = 6\ncameras = ["a", "cut"]')
+    assert Shot.from_dict(tomllib.loads(text)).check() == []
 
 
 def test_film_of_the_pictures_side_by_side(delivery):

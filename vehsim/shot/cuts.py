@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from vehsim.errors import Problem
-from vehsim.shot.checks import did_you_mean
+from vehsim.shot.checks import check_names, did_you_mean
 from vehsim.shot.schema.shot_file import ShotFile
 
 
 def check_cuts(file: ShotFile, cuts: Sequence[tuple[int, str]]) -> Iterator[Problem]:
-    """The cut list is in order, its cameras exist and have the same film back; the cameras to render exist."""
+    """The cut list is in order, its cameras exist and have the same film back; the cameras to render, and
+    those with captions, exist."""
     from vehsim.cameras.cuts import CUT
 
     cameras = {camera.name: camera for camera in file.camera}
@@ -38,3 +39,11 @@ def check_cuts(file: ShotFile, cuts: Sequence[tuple[int, str]]) -> Iterator[Prob
     for i, name in enumerate(file.render.cameras or []):
         if name not in names:
             yield Problem(f"render.cameras[{i}]", "no such camera", did_you_mean(name, names), name)
+    captions = file.render.captions
+    yield from check_names("render.captions", captions, names, "camera")
+    shown = file.render.cameras or ([CUT] if cuts else names)
+    for name in (name for name in captions if name in names and name not in shown):
+        message = "its camera is not rendered, so it is not shown"
+        yield Problem(
+            f"render.captions.{name}", message, "name it in render.cameras", captions[name], severity="warning"
+        )

@@ -28,7 +28,6 @@ from vehsim.shot.checks import (
     check_asset,
     check_contact,
     check_copied,
-    check_names,
     check_trailer,
     check_variants,
     did_you_mean,
@@ -424,8 +423,6 @@ class Shot:
     def _check_cameras(self) -> Iterator[Problem]:
         from vehsim.cameras.rigs import RIGS
 
-        cameras = [camera.name for camera in self.file.camera]
-        yield from check_names("render.captions", self.file.render.captions, cameras, "camera")
         vehicles = [vehicle.name for vehicle in self.file.vehicle]
         for i, camera in enumerate(self.file.camera):
             if camera.rig not in RIGS:

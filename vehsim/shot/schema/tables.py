@@ -355,4 +355,5 @@ class RenderTable(Table):
     burn_in: bool = False
     """true or false: whether to write shot, camera and frame on the pictures"""
     captions: dict[str, Text] = Field(default={})
-    """for side-by-side: camera name = caption; {NAME} is replaced by the remaining energy of that vehicle"""
+    """for side-by-side: camera name = caption; {NAME} is replaced by the remaining energy of that vehicle, in % or,
+    if it starts with none, in J"""
