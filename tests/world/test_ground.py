@@ -1,5 +1,6 @@
 """Wheels on terrain compared with exact distances, the body with its transfer function, slopes with energy."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -350,3 +351,19 @@ def test_a_plan_across_a_wall_fails():
     with pytest.warns(UserWarning, match="plan failed"):
         plan = vehsim.plan(CAR, cliff(20.0), ends, segments=16)
     assert not plan.success
+
+
+@pytest.mark.parametrize(("z", "warned"), [(0.0, False), (1.0, False), (-9.0, True), (9.0, True)])
+def test_heights_of_marks_far_from_the_ground_are_named(z, warned):
+    """A vehicle on wheels stands on the ground at its marks; 0 is what one writes where the height does not matter."""
+    world = World(Terrain("raised", np.full((2, 2), 3.0), (-50.0, -50.0), (100.0, 100.0)))
+    marks = [Mark(1, position=(0, 0, 3 * bool(z)), heading=0), Mark(49, position=(10, 0, z and z + 3), heading=0)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        plan = vehsim.plan(vehsim.load_vehicle("car"), world, marks, segments=8, refine=False)
+    assert plan.success and plan.clip.positions[-1, 2] == pytest.approx(3.0, abs=0.05)
+    texts = [str(one.message) for one in caught if "stands on the ground" in str(one.message)]
+    assert (
+        texts
+        == [f"mark[1].position: {z + 3:.2f} m: car stands on the ground, at 3.00 m; give that height, or 0"] * warned
+    )

@@ -28,6 +28,7 @@ from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import BRISK, DEFAULT
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground import touchdown
+from vehsim.world.ground.levels import NEAR
 from vehsim.world.ground.placing import can_stand
 from vehsim.world.ground.slope import on_terrain
 
@@ -264,10 +265,16 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
 
 def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
     """Raise ``InputError`` for a mark where a vehicle with wheels cannot stand, such as on a wall of rock; without a
-    heading, at none of some."""
+    heading, at none of some. Warn of a height far from the ground, on which it stands: 0 is no height there."""
+    terrain = None if world is None or vehicle.hull is not None else world.terrain
     for mark in marks if vehicle.group.planar else ():
         if mark.position is None:
             continue
+        x, y, z = (float(v) for v in mark.position)
+        ground = z if terrain is None else float(np.ravel(terrain.height(np.array([[x, y]])))[0])
+        if z and abs(z - ground) > NEAR:
+            message = f"{z:.2f} m: {vehicle.name} stands on the ground, at {ground:.2f} m"
+            warnings.warn(Caution(Problem(f"{mark.name}.position", message, "give that height, or 0")), stacklevel=4)
         nose = heading_of(mark)
         yaw = np.arange(8) * np.pi / 4 if nose is None else np.array([nose])
         places = np.repeat(np.array([mark.position[:2]], float), len(yaw), axis=0)
