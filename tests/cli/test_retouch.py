@@ -183,6 +183,33 @@ def test_only_edits_beyond_the_motion_are_warned_of(
     assert said == ([f"{place}; they are ignored"] if moved else [])
 
 
+def test_motion_through_handles_is_no_edit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A planned car comes and goes through the handles: its root and its wheels there are as they were delivered."""
+    from pxr import Usd
+
+    plan = """
+method = "plan"
+segments = 12
+mark = [{ frame = 1001, position = [0, 0, 0], velocity = [6, 0, 0] }, { frame = 1049, position = [12, 0.5, 0] }]
+"""
+    start, stop = SHOT.index("method"), SHOT.index("[export]")
+    text = (SHOT[:start] + plan + SHOT[stop:]).replace('"drive"', '"drive"\nend_frame = 1049\nhandles = 6')
+    (tmp_path / "shot.toml").write_text(text)
+    assert cli.run(["export", str(tmp_path / "shot.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    stage = over(tmp_path / "out" / "drive", tmp_path / "edited.usda", "exact")
+    assert isinstance(stage, Usd.Stage)
+    track = stage.GetPrimAtPath(PRIM).GetAttribute("xformOp:translate")
+    for frame, place in [(frame, track.Get(frame)) for frame in range(995, 1056)]:
+        track.Set(place, frame)
+    stage.GetRootLayer().Save()
+    capsys.readouterr()
+    edit = ["--edit", str(tmp_path / "edited.usda"), "--out", str(tmp_path / "new"), "--log", "json"]
+    assert cli.run(["retouch", str(tmp_path / "out" / "drive"), *edit]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    said = [event["message"] for event in events if event["event"] == "warning" and "the edit" in event["message"]]
+    assert said == ["car: the edit changes nothing: its curves are those of the solved motion"]
+
+
 BESIDE = """
 [world]
 terrain = "flat"

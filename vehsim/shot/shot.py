@@ -214,17 +214,13 @@ class Shot:
             asks[name] = [*asks[name], *(ask.as_dict() for ask in targets)]
         self._check_free_ends(clips)
         frames = self._frames(clips)
-        handles = self.file.shot.handles
-        clips = {name: carry_on(name, clip, *frames, handles, self.world) for name, clip in clips.items()}
+        clips = {name: self._carried(name, clip, frames) for name, clip in clips.items()}
         for name, clip in clips.items():
             vehicles[name]["frames"] = [clip.start_frame, clip.end_frame]
-        clips = {name: self._placed(name, clip) for name, clip in clips.items()}
         self._warn_off_ground(clips)
         self._check_rock(clips)
         self._warn_of_what_is_late(frames[1])
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a motion that is cut off does not brake; of the rest, all is said
-            clips = {name: self._placed(name, hold(clip, *frames)) for name, clip in clips.items()}
+        clips = {name: self._held(name, clip, frames) for name, clip in clips.items()}
         avoided = self._avoided
         worlds = {name: with_vehicles(self.world, clips, avoided, name) for name in clips}
         return Take(
@@ -291,6 +287,16 @@ class Shot:
 
         with naming(name, clip.vehicle.name):
             return place_on_terrain(clip, self.world)
+
+    def _carried(self, name: str, clip: Clip, frames: tuple[int, int]) -> Clip:
+        """The clip through the handles of a shot's ``frames``."""
+        return self._placed(name, carry_on(name, clip, *frames, self.file.shot.handles, self.world))
+
+    def _held(self, name: str, clip: Clip, frames: tuple[int, int]) -> Clip:
+        """The clip on all ``frames``."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a motion that is cut off does not brake; of the rest, all is said
+            return self._placed(name, hold(clip, *frames))
 
     @cached_property
     def cuts(self) -> tuple[tuple[int, str], ...]:
@@ -463,6 +469,13 @@ class Shot:
         if not edited:
             return self._solve_vehicles(progress)
         clips, reports = self.unedited()._motion(progress, cached)[0]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # `solve` says it of the retouched motion
+            frames = self._frames(clips)
+            delivered = {
+                table.name: self._held(table.name, self._carried(table.name, clips[table.name], frames), frames)
+                for table in edited
+            }
         for table in edited:
             assert table.edited is not None
             name = table.name
@@ -473,7 +486,7 @@ class Shot:
             context = replace(self._context, world=self.world_of(name, clips))
             options = table.motion.options() if hasattr(table.motion, "options") else {}
             clips[name], reports[name] = table.edited.retouch(
-                name, clips[name], reports[name], options, context, report, self.usd.curves
+                name, clips[name], delivered[name], reports[name], options, context, report, self.usd.curves
             )
         return clips, reports
 

@@ -67,6 +67,7 @@ class EditTable(Table):
         self,
         name: str,
         clip: Clip,
+        delivered: Clip,
         report: Mapping[str, Any],
         options: Mapping[str, Any],
         context: Context,
@@ -75,6 +76,7 @@ class EditTable(Table):
     ) -> tuple[Clip, dict[str, Any]]:
         """The retouched clip and its report, from those of the solved motion.
 
+        ``delivered``: that motion on all frames of the shot, through its handles.
         Marks that the edit touches are no longer required; the others still are. ``curves``: how far the delivered
         curves may be from the motion, m and degrees, as for `curve_tolerances`.
         """
@@ -83,10 +85,10 @@ class EditTable(Table):
         from vehsim.planning.retouch import KEPT, retouch
         from vehsim.world.ground.placing import place_on_terrain
 
-        clip = place_on_terrain(clip, context.world)  # as it was delivered
+        clip = place_on_terrain(clip, context.world)
         with Usd.StageCacheContext(Usd.StageCache()):  # the stage is opened once
             edited = self.read(clip.vehicle, context)
-            parts = self._parts_moved(edited, clip, context, curves)
+            parts = self._parts_moved(edited, delivered, context, curves)
         asks = [dict(ask) for ask in report.get("asks", [])]
         marks = [ask for ask in asks if ask["key"].startswith("mark[")]
         made = retouch(
@@ -108,7 +110,7 @@ class EditTable(Table):
         for ask in marks:
             if any(ask["first"] <= last and ask["last"] >= first for first, last in made.touched):
                 ask["severity"] = "warning"
-        _warn(name, made, _beyond(edited, clip), clip)
+        _warn(name, made, _beyond(edited, clip, delivered), clip)
         _warn_of_parts(name, parts)
         details = {
             "touched": made.touched,
@@ -148,16 +150,18 @@ def _warn_of_parts(name: str, parts: Sequence[Moved]) -> None:
         )
 
 
-def _beyond(edited: Blocking, clip: Clip) -> list[float]:
-    """Frames outside the motion in which the edit moves; a delivered vehicle stands still there."""
+def _beyond(edited: Blocking, clip: Clip, delivered: Clip) -> list[float]:
+    """Frames outside the motion in which the edit departs from what was ``delivered``."""
+    from vehsim.lie.quaternions import matrices
     from vehsim.planning.retouch import MOVED, TURNED
 
-    inside = np.clip(edited.frames, max(clip.start_frame, edited.frames[0]), min(clip.end_frame, edited.frames[-1]))
-    k = (inside - edited.frames[0]).astype(int)
-    moved = np.linalg.norm(edited.positions - edited.positions[k], axis=1) > MOVED
+    times = (edited.frames - delivered.start_frame) / float(delivered.fps)
+    shown = delivered.at(np.clip(times, 0.0, delivered.times[-1]))
+    outside = (edited.frames < clip.start_frame) | (edited.frames > clip.end_frame)
+    moved = np.linalg.norm(edited.positions - shown.positions, axis=1) > MOVED
     # the trace of a rotation by an angle is 1 + 2 cos(angle)
-    turned = np.einsum("nij,nij->n", edited.rotations, edited.rotations[k]) < 1 + 2 * np.cos(TURNED)
-    return [float(frame) for frame in edited.frames[(moved | turned) & (inside != edited.frames)]]
+    turned = np.einsum("nij,nij->n", edited.rotations, matrices(shown.orientations)) < 1 + 2 * np.cos(TURNED)
+    return [float(frame) for frame in edited.frames[(moved | turned) & outside]]
 
 
 def _warn(name: str, made: Retouch, beyond: Sequence[float], clip: Clip) -> None:
