@@ -148,3 +148,12 @@ def test_another_vehicle_on_the_path_is_avoided():
     way = take.clips["car"].positions
     beside = np.abs(way[:, 0] - 12).argmin()
     assert abs(way[beside, 1] - 0.2) > 2.15 + 0.9 + 0.4
+
+
+def test_a_left_out_vehicle_that_others_avoid_is_named() -> None:
+    data = copy.deepcopy(SHOT)
+    data["vehicle"].append({**copy.deepcopy(data["vehicle"][0]), "name": "other"})
+    data["world"]["obstacle"].append({"shape": "vehicle", "vehicle": "other"})
+    (problem,) = Shot.from_dict(data).only(["car"]).check()
+    assert (problem.key, problem.value) == ("world.obstacle[3].vehicle", "other")
+    assert str(problem).endswith("left out, but the others avoid it; add --only other")

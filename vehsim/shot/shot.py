@@ -352,7 +352,7 @@ class Shot:
         yield from self._check_header()
         yield from self._check_cameras()
         names = [vehicle.name for vehicle in self.file.vehicle]
-        wrong = list(check_obstacles(self.file.world.obstacle, self.folder, names))
+        wrong = list(check_obstacles(self.file.world.obstacle, self.folder, names, self.left_out))
         wrong += check_water(self.file.world.water, self.folder)
         yield from wrong
         world = None

@@ -34,13 +34,18 @@ def with_vehicles(world: World, clips: Mapping[str, Clip], names: Collection[str
     return world.with_obstacles([moving(name, clip) for name, clip in clips.items() if name in names and name != but])
 
 
-def check_obstacles(tables: Sequence[Any], folder: Path, vehicles: Sequence[str]) -> Iterator[Problem]:
-    """Shapes are valid, names differ, vehicles exist."""
+def check_obstacles(
+    tables: Sequence[Any], folder: Path, vehicles: Sequence[str], left_out: Sequence[str] = ()
+) -> Iterator[Problem]:
+    """Shapes are valid, names differ, vehicles exist and none of them was ``left_out``."""
     names: list[str] = []
     for i, table in enumerate(tables):
         key = f"world.obstacle[{i}]"
         if isinstance(table, VehicleObstacleTable):
-            if table.vehicle not in vehicles:
+            if table.vehicle in left_out:
+                message, remedy = "left out, but the others avoid it", f"add --only {table.vehicle}"
+                yield Problem(f"{key}.vehicle", message, remedy, table.vehicle)
+            elif table.vehicle not in vehicles:
                 yield Problem(f"{key}.vehicle", "no such vehicle", did_you_mean(table.vehicle, vehicles), table.vehicle)
         else:
             try:
