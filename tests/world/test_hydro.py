@@ -110,17 +110,31 @@ def test_the_memory_of_a_catamaran_is_its_damping_and_added_mass():
 
 @pytest.mark.parametrize("name", SINGLE)
 def test_memory_is_the_convolution_within_two_percent(name):
-    """Over 60 s, with all modes moving at once, and with each alone. The pontoon's roll alone, which radiates hardly
-    any waves, within 3 %."""
+    """Over 60 s, with all modes moving at once, and with each alone, as stored and fitted again."""
     found = coefficients(name)
+    memories = found.memory, fitted(radiation(found))
     t, twists = moving(found.omega)
     kernel, size = radiation(found).kernel(t), np.abs(np.einsum("nii->ni", found.damping)).max(axis=0)
     felt = size > WEAK * size[3:].max()
     for chosen in (np.ones(6), *np.eye(6)[felt]):
         wanted = convolved(kernel, twists * chosen, t[1])
-        error = np.linalg.norm(remembered(found.memory, t, twists * chosen) - wanted, axis=0)
-        moved, share = (chosen > 0) & felt, 0.03 if name == "pontoon" and chosen.sum() == 1 else 0.02
-        np.testing.assert_array_less(error[moved], share * np.linalg.norm(wanted, axis=0)[moved])
+        moved = (chosen > 0) & felt
+        for memory in memories:
+            error = np.linalg.norm(remembered(memory, t, twists * chosen) - wanted, axis=0)
+            np.testing.assert_array_less(error[moved], 0.02 * np.linalg.norm(wanted, axis=0)[moved])
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_damping_above_the_highest_frequency_follows_from_the_added_mass(name):
+    """From the frequencies below 0.7 of the highest, that of the others, also where it rises there: within 6 % of its
+    norm over all, in the pontoon's roll 23 %. With a damping that could only fall, up to 40 and 55 % were missing."""
+    found = coefficients(name)
+    known = found.omega < 0.7 * found.omega[-1]
+    above = Radiation(found.omega[known], found.damping[known], found.added[known]).above(found.omega[~known])
+    for i in (0, 1, 3, 4, 5):
+        error = np.linalg.norm(above[:, i, i] - found.damping[~known, i, i])
+        share = 0.3 if (name, i) == ("pontoon", 0) else 0.08
+        assert error < share * np.linalg.norm(found.damping[:, i, i]), i
 
 
 @pytest.mark.parametrize("name", HULLS)

@@ -23,7 +23,10 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 POWERS = (2, 4, 8)
-"""Above the highest frequency, damping falls with a sum of these powers of it, which agrees with the added mass."""
+"""Above the highest frequency, damping is a sum of these powers of it, which agrees with the added mass. That of no
+motion is negative; differences of neighbouring powers, zero at the highest frequency, let it rise before it falls."""
+AGREES = 0.95
+"""Share of the highest frequency below which it does: nearer to it, the damping at the highest alone decides."""
 HIGHEST = 4.0
 """Up to this multiple of the highest frequency, where damping is negligible."""
 FINE = 3
@@ -91,11 +94,11 @@ class Radiation:
     @cached_property
     def _fit(self) -> tuple[Array, Array]:
         """Coefficients (powers, 6, 6) of the damping above the highest frequency, and the added mass (6, 6) at infinite
-        frequency, such that ``excess = 2 / pi integral B(v) / (v^2 - w^2) dv`` (Kramers and Kronig) holds well below
-        it."""
+        frequency, such that ``excess = 2 / pi integral B(v) / (v^2 - w^2) dv`` (Kramers and Kronig) holds below
+        `AGREES` of it."""
         from scipy.optimize import nnls
 
-        top, used = self.omega[-1], self.omega < 0.8 * self.omega[-1]
+        top, used = self.omega[-1], self.omega < AGREES * self.omega[-1]
         w = self.omega[used, None]
         v = top * (np.arange(2000) + 0.5) / 2000
         smooth = (self.within(v)[None] - self.damping[used, None]) / (v**2 - w**2)[:, :, None, None]
@@ -111,14 +114,16 @@ class Radiation:
         *more, offset = np.linalg.lstsq(rows, rest - np.outer(parts[0], last), rcond=1e-3)[0]
         found = np.concatenate([[last - np.sum(more, axis=0)], more]).reshape(-1, 6, 6)
         offset = offset.reshape(6, 6)
+        falling = np.eye(len(POWERS))
+        terms = np.vstack([falling, falling[:-1] - falling[1:]])  # none of them negative
         for i in range(6):  # no motion gains energy
             scale = max(float(np.linalg.norm(rest[:, 7 * i])), 1e-300)
-            known_last = np.append(np.full(len(POWERS), 1e3 / max(last[7 * i], 1e-300)), [0, 0])
+            known_last = np.append(terms.sum(axis=1) * 1e3 / max(last[7 * i], 1e-300), [0, 0])
             rows = np.vstack(
-                [np.column_stack([parts.T, *level * np.outer([1, -1], np.ones(len(w)))]) / scale, known_last]
+                [np.column_stack([(terms @ parts).T, *level * np.outer([1, -1], np.ones(len(w)))]) / scale, known_last]
             )
-            *found[:, i, i], up, down = nnls(rows, np.append(rest[:, 7 * i] / scale, 1e3))[0]
-            offset[i, i] = up - down
+            *shares, up, down = nnls(rows, np.append(rest[:, 7 * i] / scale, 1e3))[0]
+            found[:, i, i], offset[i, i] = shares @ terms, up - down
         return found, middle + 2 / np.pi * level * offset
 
     def above(self, omega: Array) -> Array:
