@@ -7,12 +7,14 @@ import sys
 import tomllib
 from contextlib import asynccontextmanager
 
+import numpy as np
 import pytest
 
 pytest.importorskip("websockets", reason='needs the extra: pip install "vehsim[live]"')
 
 from tests.browser import PATIENCE, at, browser
 from tests.live.test_server import SHOT, content, served
+from tests.shot.test_blocking import KEYS, stage_with
 
 PLACE = """(() => {
   const v = vehsim.viewer, box = document.getElementById("view").getBoundingClientRect();
@@ -363,6 +365,37 @@ def test_a_mark_without_a_place_has_a_tick_too(tmp_path):
             await page.value("document.getElementById('do-save').click()")
             await page.until("document.getElementById('do-save').disabled")
             assert path.read_text() == SHOT
+
+    asyncio.run(play())
+
+
+def test_marks_of_an_artists_prim_are_shown_beside_marks_that_are_dragged(tmp_path):
+    """They have rings and ticks as in --to html, but are no handles, and a press on their ticks scrubs."""
+    stage_with(tmp_path / "blocking.usda", "Y", 0.01)
+    heli = """[[vehicle]]
+name = "heli"
+asset = "helicopter"
+[vehicle.motion]
+method = "plan"
+segments = 16
+marks = { usd = "blocking.usda", prim = "/World/heli" }
+"""
+    path = written(tmp_path, SHOT.replace("[[vehicle]]", f"{heli}[[vehicle]]", 1))
+
+    async def play():
+        async with opened(path) as page:
+            assert await page.value("vehsim.live.grips.map((grip) => grip.handle.vehicle)") == ["car", "car"]
+            frames = await page.value("vehsim.viewer.ticks.map((one) => one.frame)")
+            assert sorted(frames) == [1001, 1001, 1050, 1073, 1100]
+            shown = await page.value(
+                "vehsim.viewer.rings.filter((ring) => ring.visible).map((r) => r.position.toArray())"
+            )
+            wanted = [place for place, _ in KEYS.values()] + [(0, 0, 0), (8, 1, 0)]
+            assert np.array(sorted(shown)) == pytest.approx(np.array(sorted(wanted)), abs=1e-3)
+            for kind, frame in (("Pressed", 1050), ("Moved", 1060), ("Released", 1060)):
+                await page.mouse(kind, *await page.value(ON_TRACK % frame))
+            assert await page.value("vehsim.viewer.frame") == 1060
+            assert await page.value("document.getElementById('do-undo').disabled")
 
     asyncio.run(play())
 

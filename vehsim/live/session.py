@@ -168,6 +168,7 @@ class Session:
             "problems": self.problems,
             "handles": [self._handle_shown(handle) for handle in self.handles],
             "unplaced": self._unplaced(),
+            "blocked": self._blocked(),
             "notes": self.notes,
             "drives": self.drives(),
             "recordings": [shown for shown, _ in self._recordings().values()],
@@ -206,6 +207,11 @@ class Session:
             for k, mark in enumerate(getattr(table.motion, "mark", None) or ())
             if mark.position is None and isinstance(mark.frame, int)
         ]
+
+    def _blocked(self) -> list[str]:
+        """The vehicles whose marks come from an artist's prim; the page shows them but cannot edit them."""
+        tables = self.shot.file.vehicle if self.shot else ()
+        return [table.name for table in tables if getattr(table.motion, "marks", None) is not None]
 
     def _following(self, handle: Handle) -> list[VehicleTable]:
         """The vehicles whose motion follows while a handle is dragged: planned ones with marks of their own."""

@@ -23,7 +23,7 @@
   });
 
   const subject = () => vehsim.viewer.follow || vehsim.viewer.vehicles[0];
-  /** The marks in the order of the ticks: those with a handle, then those without a place. */
+  /** The marks in the order of the ticks: those with a handle, then those without a place. Ticks of an artist's prim follow. */
   const marks = () => [...live().state.handles.filter((handle) => handle.mark !== null), ...live().state.unplaced];
   const here = () => marks()[vehsim.viewer.ticks.findIndex(({ vehicle, frame }) => vehicle === subject() && frame !== null && Math.round(frame) === vehsim.viewer.frame)];
 
@@ -33,7 +33,7 @@
     return Math.round(first + ((event.clientX - box.left) / box.width) * (last - first));
   };
   track.addEventListener("pointerdown", (event) => {
-    if (!event.target.classList.contains("mark") || !live().editor) return;
+    if (!event.target.classList.contains("mark") || !live().editor || !marks()[event.target.dataset.mark]) return;
     held = { k: Number(event.target.dataset.mark), shown: event.target, frame: null, tables: live().state.tables };
     track.setPointerCapture(event.pointerId);
     event.stopImmediatePropagation();

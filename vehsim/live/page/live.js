@@ -168,24 +168,28 @@
 
   const tip = (ring) => new THREE.Vector3(ring.userData.tip, 0, 0).applyMatrix4(ring.matrixWorld);
 
-  /** Pair each handle with its ring: a motion with as many marks draws theirs, all others are drawn here. A drag goes on. */
+  /** Pair each handle with its ring: a motion with as many marks draws theirs, all others are drawn here. A drag goes on.
+   *  Marks from an artist's prim are shown too, but are no handles. */
   function drawHandles() {
     const viewer = vehsim.viewer;
     if (!viewer || !state) return;
     const marks = state.handles.filter((one) => one.mark !== null), others = state.handles.filter((one) => one.mark === null);
-    const same = marks.length === viewer.rings.length; // else the motion on the screen has other marks than the file
+    const given = [...viewer.marks.keys()].filter((k) => state.blocked.includes(viewer.marks[k].vehicle));
+    const drawn = [...viewer.marks.keys()].filter((k) => !given.includes(k));
+    const same = marks.length === drawn.length; // else the motion on the screen has other marks than the file
     const own = same ? others : [...others, ...marks], rings = viewer.setHandles(own);
     viewer.setNotes(state.notes);
-    const placed = marks.map(({ vehicle, frame }, k) => ({ vehicle, frame: frame === null && same ? viewer.marks[k].frame : frame }));
-    viewer.setTicks([...placed, ...state.unplaced.map(({ vehicle, frame }) => ({ vehicle, frame }))]);
-    for (const ring of viewer.rings) ring.visible = same;
+    const placed = marks.map(({ vehicle, frame }, k) => ({ vehicle, frame: frame === null && same ? viewer.marks[drawn[k]].frame : frame }));
+    const ticks = [...placed, ...state.unplaced, ...given.map((k) => viewer.marks[k])];
+    viewer.setTicks(ticks.map(({ vehicle, frame }) => ({ vehicle, frame })));
+    viewer.rings.forEach((ring, k) => (ring.visible = same || given.includes(k)));
     if (same) marks.forEach(({ place, heading }, k) => { // where the file has them, also if it is not solved
-      const ring = viewer.rings[k], { grounded, position } = viewer.marks[k];
+      const ring = viewer.rings[drawn[k]], { grounded, position } = viewer.marks[drawn[k]];
       ring.position.copy(viewer.local(place));
       if (grounded) ring.position.z = position[2]; // the file's height counts for nothing
       if (heading !== null) ring.rotation.z = heading / DEGREES;
     });
-    grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[k], turns: true, solid: [] })) : [];
+    grips = same ? marks.map((handle, k) => ({ handle, ring: viewer.rings[drawn[k]], turns: true, solid: [] })) : [];
     grips.push(...own.map((handle, k) => ({ handle, ring: rings[k], turns: handle.turns, solid: solid(handle) })));
     for (const grip of grips) {
       const at = grip.handle.on && grips.find((one) => one.handle.key === grip.handle.on);
