@@ -147,14 +147,18 @@ def _moves_sideways(
     whole: list[tuple[Array, Shape]],
     poses: list[dict[str, Array]],
 ) -> bool:
-    """Whether a prim's ``parts`` move by more than a cell of its vehicle's shade, relative to the prim ``above`` it.
+    """Whether a prim's ``parts`` reach as far down as its vehicle's shade, and move by more than a cell of it relative
+    to the prim ``above`` them.
 
     Parts are given in the frame of the root, as is the ``whole`` vehicle; the middle of wheels and rotors stays.
     """
     if not parts or not whole:
         return False
     points, every = (np.concatenate([s.points @ T[:3, :3].T + T[:3, 3] for T, s in of]) for of in (parts, whole))
-    cell = float((every.max(axis=0) - every.min(axis=0))[:2].max()) / CELLS
+    size, low = np.ptp(every, axis=0), every[:, 2].min()
+    if points[:, 2].min() > low + FADES[1] * size[2]:  # a rider's shade would fall on the board
+        return False
+    cell = float(size[:2].max()) / CELLS
     middle = np.append(points.mean(axis=0), 1.0)
     first = poses[0]
     in_group, in_above = (np.linalg.inv(first[each]) @ first[root] for each in (group, above))

@@ -176,11 +176,12 @@ def test_what_stands_still_has_a_shade_if_it_has_a_mass(parked, new_stage, add_b
 
 def test_a_trailer_takes_its_shade_with_it(new_stage, add_box):
     """A truck's shade showed its trailer as on the first frame, beside it when it was turned. What only spins or
-    springs has none of its own."""
+    springs has none of its own, and neither has what is far above the ground, such as a crane."""
     from pxr import Gf, UsdGeom
 
     stage = new_stage("truck.usda", "truck")
-    for name, place, turn, rise in (("trailer", (-2, 0, 0), 90.0, 0), ("wheel", (1, 0, 0.3), 0.0, 0.2)):
+    movers = (("trailer", (-2, 0, 0), 90.0, 0), ("wheel", (1, 0, 0.3), 0.0, 0.2), ("crane", (0, 0, 1), 90.0, 0))
+    for name, place, turn, rise in movers:
         part = UsdGeom.Xform.Define(stage, f"/top/truck/{name}")
         moved, turned = part.AddTranslateOp(), part.AddRotateZOp()
         for frame in (1, 2):
@@ -190,6 +191,7 @@ def test_a_trailer_takes_its_shade_with_it(new_stage, add_box):
     add_box(stage, "/top/truck/box", (4, 2, 1), (0, 0, 0.5))
     add_box(stage, "/top/truck/trailer/box", (8, 2, 1), (-5, 0, 0.5))
     add_box(stage, "/top/truck/wheel/box", (0.6, 0.2, 0.6), (0, 0, 0))
+    add_box(stage, "/top/truck/crane/box", (3, 0.2, 0.2), (1.5, 0, 0.2))
     stage.GetRootLayer().Save()
     reader = StageReader(stage.GetRootLayer().realPath)
     shades = Shades(reader)

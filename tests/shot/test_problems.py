@@ -123,7 +123,8 @@ def test_names_differ_in_more_than_their_case(small: dict[str, Any], keys_of: Fi
 
 def test_wheels_may_touch_the_ground(planned: dict[str, Any], keys_of: Find) -> None:
     planned["vehicle"][0]["asset"] = "car"
-    planned["vehicle"][0]["motion"]["mark"][1]["position"] = [20.0, 0.0, 0.0]
+    marks = planned["vehicle"][0]["motion"]["mark"]
+    marks[0]["position"], marks[1]["position"] = [0.0, 0.0, 0.0], [20.0, 0.0, 0.0]
     assert keys_of(planned) == {}
 
 

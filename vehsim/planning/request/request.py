@@ -31,6 +31,7 @@ from vehsim.world.ground import touchdown
 from vehsim.world.ground.levels import NEAR
 from vehsim.world.ground.placing import can_stand
 from vehsim.world.ground.slope import on_terrain
+from vehsim.world.ground.wheels import wheels_of
 
 Array = NDArray[np.float64]
 
@@ -266,7 +267,8 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
 def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
     """Raise ``InputError`` for a mark where a vehicle with wheels cannot stand, such as on a wall of rock; without a
     heading, at none of some. Warn of a height far from the ground, on which it stands: 0 is no height there."""
-    terrain = None if world is None or vehicle.hull is not None else world.terrain
+    rolls = vehicle.rig is not None and bool(wheels_of(vehicle.rig))
+    terrain = world.terrain if rolls and world is not None else None
     for mark in marks if vehicle.group.planar else ():
         if mark.position is None:
             continue
