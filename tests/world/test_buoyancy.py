@@ -9,8 +9,10 @@ import vehsim
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.vehicles import State
+from vehsim.world.water import hull_repair
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.water.hull_mesh import HullMesh, wetted
+from vehsim.world.water.hull_repair import repaired
 from vehsim.world.water.sea import sea_state
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
@@ -464,6 +466,19 @@ def test_a_large_mesh_is_simplified():
     z = np.roots([-1 / 12, 0, 1, 4 / 3 - volume / (np.pi * 27)])
     exact = float(next(r.real for r in z if abs(r.imag) < 1e-9 and abs(r) <= 2))
     assert -height == pytest.approx(exact, abs=0.004)
+
+
+def test_a_repaired_hull_is_cached_with_its_warnings(tmp_path, monkeypatch):
+    """A hull of 100,000 faces was repaired twice in every simulation, 2.2 s each."""
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    hull = HullMesh(*sphere(1.0, 5), "ship: hull")
+    with pytest.warns(UserWarning, match="^ship: hull: 20,480 faces, simplified"):
+        first = repaired(hull)
+    monkeypatch.setattr(hull_repair, "filled", None)  # not made again
+    with pytest.warns(UserWarning, match="^other: 20,480 faces, simplified"):
+        second = repaired(HullMesh(*sphere(1.0, 5), "other"))
+    assert second.name == "other" and len(second.faces) <= 2000
+    assert np.array_equal(first.points, second.points) and np.array_equal(first.faces, second.faces)
 
 
 def test_a_boat_that_sinks_is_reported():

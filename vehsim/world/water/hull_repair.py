@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import warnings
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
 
+from vehsim.runtime.cache import kept, packed, unpacked
 from vehsim.world.water.hull_mesh import Array, HullMesh, wetted
 
 LEVELS = 24
@@ -21,8 +24,22 @@ length."""
 
 
 def repaired(hull: HullMesh) -> HullMesh:
-    """``hull`` without cockpits and with fewer faces; warns of both."""
-    return simplified(filled(hull))
+    """``hull`` without cockpits and with fewer faces; warns of both. Cached by content, since it takes seconds for a
+    hull of many faces."""
+
+    def make() -> bytes:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            made = simplified(filled(hull))
+        texts = [str(one.message).removeprefix(hull.name) for one in caught]
+        return packed([made.points, made.faces, np.frombuffer(json.dumps(texts).encode(), np.uint8)])
+
+    given = np.ascontiguousarray(hull.points, float), np.ascontiguousarray(hull.faces, np.int64)
+    content = sha256(repr([array.shape for array in given]).encode() + given[0].tobytes() + given[1].tobytes())
+    points, faces, texts = unpacked(kept("hull-1", content.hexdigest(), make))
+    for text in json.loads(texts.tobytes()):
+        warnings.warn(f"{hull.name}{text}", stacklevel=2)
+    return hull.replaced(points, faces)
 
 
 def filled(hull: HullMesh) -> HullMesh:
