@@ -32,8 +32,8 @@ SHADOW_REACH = (5.0, 115.0)
 SHADOW_DEPTH = 4_000.0
 """Far plane in units of the shadow map's reach. MuJoCo biases shadows by four steps of the depth range, here by 1.5
 texels: less, and slopes under grazing light cast jagged shadows on themselves; more, and vehicles seem to float."""
-INSTANTS = 33
-"""Number of frames at which it is found what casts shadows during a shot."""
+INSTANTS = 241
+"""Number of instants at which it is found where casters are during a shot: paths between them must hardly bulge."""
 SUPERSAMPLE = 4
 """Largest number of drawn pixels per delivered pixel, along each side; 2 for the usual four samples. Supersampling
 smooths shadow edges and texture, which multisampling cannot."""
