@@ -221,6 +221,26 @@ def test_a_stage_is_read_again_when_a_referenced_file_changes(tmp_path: Path, mo
         dependencies(whole)
 
 
+@pytest.mark.parametrize("known_here", [True, False])
+def test_references_that_did_not_resolve_are_found_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known_here: bool
+) -> None:
+    """In the process that missed them, and in another one, which has the cached answer."""
+    from vehsim.intake import usd as stages
+
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
+    whole = tmp_path / "whole.usda"
+    refers, texture = "references = @./part.usda@", "asset inputs:file = @./t.<UDIM>.png@"
+    whole.write_text(f'#usda 1.0\ndef Shader "a" (\n    {refers}\n)\n{{\n    {texture}\n}}\n')
+    for name, left in {"part.usda": ["t.<UDIM>.png"], "t.1002.png": []}.items():
+        assert name not in [file.name for file in stages.dependencies(whole)[0]]
+        (tmp_path / name).write_bytes(usda() if name == "part.usda" else b"")
+        if not known_here:
+            stages._known.clear()
+        files, missing = stages.dependencies(whole)
+        assert tmp_path / name in files and [Path(each).name for each in missing] == left
+
+
 def test_a_stage_nested_very_deeply_is_refused(tmp_path: Path) -> None:
     from vehsim.intake.usd import dependencies
 

@@ -1,11 +1,11 @@
 """The solids of an asset are cached by content, and never taken from another file or a layer without a file."""
 
+import os
 import subprocess
 import sys
 import warnings
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -121,9 +121,25 @@ def test_files_found_by_a_resolver_are_not_cached(tmp_path, reads, monkeypatch):
 
 
 def test_files_written_during_reading_are_not_cached(tmp_path, reads, monkeypatch):
+    body, read = write(tmp_path / "body.usda", 2.0), parts._read
+    asset = referring(tmp_path / "rig.usda", "./body.usda")
+
+    def written_after(*given):
+        found = read(*given)
+        write(body, 4.0)
+        return found
+
+    monkeypatch.setattr(parts, "_read", written_after)
+    before = reach(asset)
+    monkeypatch.setattr(parts, "_read", read)
+    assert reach(asset) > before and reach(asset) > before and len(reads) == 2
+
+
+def test_files_dated_in_the_future_are_cached(tmp_path, reads):
+    """Clocks of two machines differ."""
     asset = write(tmp_path / "rig.usda", 1.0)
-    monkeypatch.setattr(parts, "time", SimpleNamespace(time=lambda: asset.stat().st_mtime - 1.0))
-    assert reach(asset) == reach(asset) and len(reads) == 2
+    os.utime(asset, (asset.stat().st_mtime + 1e6,) * 2)
+    assert reach(asset) == reach(asset) and len(reads) == 1
 
 
 def test_layers_open_in_memory_are_not_cached(tmp_path, reads):

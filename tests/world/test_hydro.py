@@ -488,7 +488,7 @@ def test_the_cache_of_hulls_is_bounded(tmp_path, monkeypatch):
     (cache / "hydro-1-earlier").write_bytes(found.content)
     for height in (0.1, 0.2, 0.3, 0.4, 0.5):
         boundary_elements.coefficients(body.hull, height)
-    assert len(list(cache.iterdir())) == 3 and not (cache / "hydro-1-earlier").exists()
+    assert len(list(cache.glob("hydro-*"))) == 3 and not (cache / "hydro-1-earlier").exists()
     monkeypatch.setattr(boundary_elements, "_computed", None)
     boundary_elements.coefficients(body.hull, 0.5)  # the last one is still there
 

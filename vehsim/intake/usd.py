@@ -6,6 +6,7 @@ each of them before, once for its content.
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 from collections import deque
@@ -120,7 +121,11 @@ def dependencies(asset: str | Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     with reading(asset, "asset"):
         asset = Path(asset).resolve()
         known = _known.get(asset)
-        if known is None or known[0] != (_stamps(known[1]), limit("VEHSIM_READ_PRIMS")):
+        if (
+            known is None
+            or known[0] != (_stamps(known[1]), limit("VEHSIM_READ_PRIMS"))
+            or _found_since(known[2], asset.parent)
+        ):
             files, missing = _screened(asset)
             _known[asset] = known = ((_stamps(files), limit("VEHSIM_READ_PRIMS")), files, missing)
         return known[1:]
@@ -128,6 +133,12 @@ def dependencies(asset: str | Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
 
 _known: dict[Path, tuple[Any, tuple[Path, ...], tuple[str, ...]]] = {}
 """Results of `dependencies` in this process."""
+
+
+def _found_since(missing: Iterable[str], folder: Path) -> bool:
+    """Whether references that did not resolve name files that exist now; a texture may have several tiles."""
+    names = (glob.escape(str(folder / name)).replace("<UDIM>", "*") for name in missing)
+    return any(glob.glob(name) for name in names)
 
 
 def _stamps(files: Iterable[Path]) -> tuple[Stamp | None, ...]:
@@ -144,6 +155,7 @@ def _screened(asset: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
         facts is None
         or facts["prims"] > most
         or any(content_of(name) != known for name, known in facts["files"].items())
+        or _found_since(facts["missing"], asset.parent)
     ):
         facts = read_in_process(examine, asset, "asset", most)[0]
         store("screened", made_of, json.dumps(facts).encode(), MOST_KEPT)

@@ -10,7 +10,6 @@ up axis, are part of the geometry, so an animated pose multiplies everything fro
 from __future__ import annotations
 
 import json
-import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -27,7 +26,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.intake.foreign import check_parts
-from vehsim.intake.usd import complaints, is_drawn, open_stage
+from vehsim.intake.usd import complaints, dependencies, is_drawn, open_stage
 from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, hull_moments, mesh_of
 from vehsim.rig.rig import Rig
 from vehsim.runtime.cache import lookup, made_of, packed, store, unpacked
@@ -104,7 +103,7 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     cached by the content of the file and the files that it refers to, because loading USD takes longer than many a
     plan.
     """
-    key, began = (str(asset), _content(asset), root), time.time()
+    key = str(asset), _content(asset), root
     kept = lookup("solids", key)
     found, messages = _unpacked(kept) if kept is not None else (None, [])
     if found is None:
@@ -112,6 +111,7 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
 
         # layers in memory may differ from their files
         held = {layer.identifier for layer in Sdf.Layer.GetLoadedLayers()}
+        before = {str(file): _content(file) for file in dependencies(asset)[0]}
         parts, messages = _read(asset, root)
         meshes = [part.collision for part in parts]
         if not any(meshes):
@@ -125,7 +125,8 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
             Solid(part.name, part.path, part.T_rp, tuple(apply(part.T_rp, next(hulls)) for _ in own))
             for part, own in zip(parts, meshes, strict=True)
         ]
-        if files := _files(asset, held, began):
+        files = _files(asset, held)
+        if files and files.items() <= before.items():  # nothing was written while it was read
             store("solids", key, _packed(found, messages, files))
     for message in messages:
         warnings.warn(message, stacklevel=2)
@@ -204,16 +205,16 @@ def _content(asset: str | Path) -> str:
     return ""
 
 
-def _files(asset: str | Path, held: AbstractSet[str], began: float) -> dict[str, str]:
-    """All files from which an asset was read, with their checksums. None if this is uncertain: a file is missing, a
-    resolver chooses the files, a layer was ``held`` in memory, or a file is newer than ``began``."""
+def _files(asset: str | Path, held: AbstractSet[str]) -> dict[str, str]:
+    """All files from which an asset was read, with their checksums. Empty if this is uncertain: a file is missing, a
+    resolver chooses the files, or a layer was ``held`` in memory."""
     from pxr import Usd
 
     stage = Usd.Stage.Open(str(asset))
     layers = [layer for layer in stage.GetUsedLayers() if not layer.anonymous]
-    files = {layer.realPath.partition("[")[0] for layer in layers}
+    files = {str(Path(layer.realPath.partition("[")[0]).resolve()) for layer in layers}
     plain = all(layer.identifier == layer.realPath and layer.identifier not in held for layer in layers)
-    if not plain or stage.GetCompositionErrors() or any(Path(file).stat().st_mtime >= began for file in files):
+    if not plain or stage.GetCompositionErrors():
         return {}
     return {file: _content(file) for file in sorted(files)}
 

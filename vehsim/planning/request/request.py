@@ -267,14 +267,13 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
 def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
     """Raise ``InputError`` for a mark where a vehicle with wheels cannot stand, such as on a wall of rock; without a
     heading, at none of some. Warn of a height far from the ground, on which it stands: 0 is no height there."""
-    rolls = vehicle.rig is not None and bool(wheels_of(vehicle.rig))
-    terrain = world.terrain if rolls and world is not None else None
+    terrain = None if world is None else world.terrain
     for mark in marks if vehicle.group.planar else ():
         if mark.position is None:
             continue
         x, y, z = (float(v) for v in mark.position)
         ground = z if terrain is None else float(np.ravel(terrain.height(np.array([[x, y]])))[0])
-        if z and abs(z - ground) > NEAR:
+        if z and abs(z - ground) > NEAR and vehicle.rig is not None and wheels_of(vehicle.rig):
             message = f"{z:.2f} m: {vehicle.name} stands on the ground, at {ground:.2f} m"
             warnings.warn(Caution(Problem(f"{mark.name}.position", message, "give that height, or 0")), stacklevel=4)
         nose = heading_of(mark)
