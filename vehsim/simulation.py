@@ -97,7 +97,7 @@ def simulate(
     difference_map = difference_map or DEFAULT_MAP
     vehicle, start = _on_water(vehicle, world, start)
     if getattr(world, "contact", None) is not None:
-        _refuse_untouched(vehicle, [obstacle.name for obstacle in world.obstacles])  # type: ignore[union-attr]
+        _refuse_untouched(vehicle, [obstacle.name for obstacle in world.obstacles])  # type: ignore[union-attr]  # a world with contact
     table = None if callable(controls) else _table(vehicle, controls)
     steps = _steps(duration, table, wanted, h)
     begin = _standing(vehicle, world, start)
@@ -517,7 +517,7 @@ def _played(table: Array, duration: float) -> Callable[[float, State], Array]:
     def play(t: float, state: State) -> Array:
         return np.array([np.interp(t, at, column) for column in table.T])
 
-    play.blind = True  # type: ignore[attr-defined]
+    play.blind = True  # type: ignore[attr-defined]  # read by `Forced`: it ignores the state
     return play
 
 

@@ -65,7 +65,7 @@ def logged(name: str, source: str) -> Iterator[Progress]:
     log, began = _JsonLog({name: source}), time.monotonic()
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *rest, **more: log.warn(name, str(message))  # type: ignore[assignment]
+        warnings.showwarning = lambda message, *rest, **more: log.warn(name, str(message))  # type: ignore[assignment]  # restored by the context
         try:
             yield lambda what, done: log.tell(name, "planning", what, done)
         except Exception as error:

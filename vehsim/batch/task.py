@@ -122,7 +122,7 @@ def run_task(task: Task, tell: Tell) -> Outcome:
     began, texts = time.perf_counter(), []
     with _ONE_AT_A_TIME, warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *rest, **more: texts.append(str(message))  # type: ignore[assignment]
+        warnings.showwarning = lambda message, *rest, **more: texts.append(str(message))  # type: ignore[assignment]  # restored by the context
         try:
             outcome = _work(task, tell)
         except MemoryError:

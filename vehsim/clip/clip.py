@@ -97,7 +97,7 @@ class Clip(Samples):
         if ending and self.ending is not None:
             arrays |= {f"{ENDING}{name}": values for name, values in self.ending.items()}
         buffer = BytesIO()
-        np.savez(buffer, header=np.array(json.dumps(header, sort_keys=True)), **arrays)  # type: ignore[arg-type]
+        np.savez(buffer, header=np.array(json.dumps(header, sort_keys=True)), **arrays)  # type: ignore[arg-type]  # arrays, not options
         return buffer.getvalue()
 
     @classmethod

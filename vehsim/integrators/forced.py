@@ -177,7 +177,7 @@ class Forced:
                 subject=vehicle.name,
             )
         if added is not None:
-            inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]
+            inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]  # a rigid body has it
             wind = self.integrator.wind
             guess = self._kicked(self.phase)
             law = self._call("free", _free_acceleration)
@@ -277,7 +277,7 @@ class Recording:
             pi,
             np.array(controls),
             self.body.anchor,
-            **header,  # type: ignore[arg-type]
+            **header,  # type: ignore[arg-type]  # values of one type each
         )
         work = clip.energy["work"] + _work(clip, np.array(wrenches))
         return replace(clip, energy={**clip.energy, "work": work})
@@ -430,7 +430,7 @@ def halved(integrator: Integrator, parts: int) -> Integrator:
         kept[parts] = Integrator(
             integrator.vehicle, step, m.map_name, integrator.order, quadrature=m.quadrature, wind=integrator.wind
         )
-    return kept[parts]  # type: ignore[no-any-return]
+    return kept[parts]  # type: ignore[no-any-return]  # a cache on the integrator
 
 
 def substeps(step: float, environment: Environment) -> int:

@@ -118,7 +118,7 @@ def _decay(mechanics: DiscreteMechanics) -> ca.Function | None:
             "decay", [g, r, pi, c, wind], [rates(g, r, mechanics.knot_velocity_guess(r, pi, c), c, wind)]
         )
 
-    return keep(mechanics, "decay", build)  # type: ignore[no-any-return]
+    return keep(mechanics, "decay", build)  # type: ignore[no-any-return]  # `keep` is untyped
 
 
 def rank_lost(vehicle: Vehicle, step: int, before: Array, after: Array) -> SolveError:
@@ -153,7 +153,7 @@ def _on_orthonormal_basis(mechanics: DiscreteMechanics, r: Array) -> float:
         u[others] = rates
         velocity = ca.vertcat(rates, xi)
         hessian = ca.hessian(v.reduced_lagrangian(symbol, u, xi), velocity)[0]
-        w_r, w_xi = v._constraints(symbol)  # type: ignore[attr-defined]
+        w_r, w_xi = v._constraints(symbol)  # type: ignore[attr-defined]  # a nonholonomic vehicle
         still = ca.SX.zeros(velocity.shape[0])
         values = [ca.substitute(hessian, velocity, still), ca.horzcat(w_r[:, others], w_xi)]
         return ca.Function("full", [symbol], [ca.densify(x) for x in values])

@@ -119,9 +119,9 @@ class PhaseIntegrator:
     def _choose_chart(self, r: Array) -> None:
         """Choose columns to eliminate that are regular at joints ``r``, if the current choice is not."""
         vehicle = self.mechanics.vehicle
-        if not self.guarded or vehicle.soundness(r) > 0.1:  # type: ignore[attr-defined]
+        if not self.guarded or vehicle.soundness(r) > 0.1:  # type: ignore[attr-defined]  # guarded vehicles are nonholonomic
             return
-        chart = vehicle.chart_at(r)  # type: ignore[attr-defined]
+        chart = vehicle.chart_at(r)  # type: ignore[attr-defined]  # the same
         if chart is not None:
             self.mechanics = mechanics_of(chart, self.mechanics.map_name, self.mechanics.quadrature)
             self.__dict__.pop("_quick", None)

@@ -532,7 +532,7 @@ class Session:
         """The vehicles with controls, what their sticks move, and whether their motion is a recording."""
         found = []
         for table in self.shot.file.vehicle if self.shot and self.take else ():
-            if controls := self.shot.vehicle(table).control_names:  # type: ignore[union-attr]
+            if controls := self.shot.vehicle(table).control_names:  # type: ignore[union-attr]  # the loop is empty without a shot
                 continues = table.motion.method == "sticks"
                 found.append({"vehicle": table.name, "controls": controls, "continues": continues})
         return found

@@ -311,9 +311,9 @@ class _Helicopter:
                 "is not a helicopter", "it needs controls collective, yaw, pitch, roll", subject=vehicle.name
             )
         self.vehicle = vehicle
-        inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]
+        inertia = np.asarray(vehicle.inertia)  # type: ignore[attr-defined]  # a rigid body has it
         self.mass, self.J = float(inertia[5, 5]), inertia[:3, :3]
-        self.gravity = float(vehicle.gravity)  # type: ignore[attr-defined]
+        self.gravity = float(vehicle.gravity)  # type: ignore[attr-defined]  # a rigid body has it
         self._applied = _applied_wrench(vehicle)
         law = getattr(vehicle, "drag", None)
         self._drag = None if law is None else _function(law, 6)

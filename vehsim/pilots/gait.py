@@ -121,7 +121,7 @@ class Gait:
     def _eased(self, t: float) -> tuple[float, float, float]:
         """The ease and its two derivatives, ``t`` s after its start."""
         x = float(np.clip(t / self.rise, 0.0, 1.0))
-        return tuple(float(_EASE.deriv(k)(x)) / self.rise**k for k in range(3))  # type: ignore[return-value]
+        return tuple(float(_EASE.deriv(k)(x)) / self.rise**k for k in range(3))  # type: ignore[return-value]  # three, by the range
 
 
 def _accelerations(vehicle: Vehicle) -> Any:

@@ -93,7 +93,7 @@ def outliving_readers() -> Iterator[Callable[[], OSError | None]]:
         if stream is None:  # it was closed from the start: none of our files may take its place
             os.dup2(os.open(os.devnull, os.O_WRONLY), number)
     answers, messages = (_Patient(stream or StringIO()) for stream in before)
-    sys.stdout, sys.stderr = answers, messages  # type: ignore[assignment]
+    sys.stdout, sys.stderr = answers, messages  # type: ignore[assignment]  # all that print and tracebacks use
 
     def lost() -> OSError | None:
         messages.flush()

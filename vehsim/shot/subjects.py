@@ -24,7 +24,7 @@ def naming(name: str, model: str, key: str = "") -> Iterator[None]:
         raise
     finally:
         for w in caught:
-            message: Warning = w.message  # type: ignore[assignment]
+            message: Warning = w.message  # type: ignore[assignment]  # always an instance when recorded
             if isinstance(message, Caution):
                 message = Caution(_named(message.problem, name, model))
             elif issubclass(w.category, UserWarning):  # not a library's warning on this occasion

@@ -59,7 +59,7 @@ class Kernel:
         for array, column in zip(self._in, columns, strict=True):
             array[:] = column
         self.run()
-        return [array.copy() for array in self._out]  # type: ignore[union-attr]
+        return [array.copy() for array in self._out]  # type: ignore[union-attr]  # bound above
 
     def rows(self, inputs: Sequence[Array], outputs: Sequence[Array], carries: bool = False) -> None:
         """Call the function for every row of arrays (n, width) or, side by side, (m, n, width).
@@ -128,7 +128,7 @@ def _point(buffer: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> No
     for place, arrays in ((buffer.set_arg, inputs), (buffer.set_res, outputs)):
         for i, array in enumerate(arrays):
             if array.size:
-                place(i, memoryview(array))  # type: ignore[arg-type]
+                place(i, memoryview(array))  # type: ignore[arg-type]  # CasADi takes any buffer
 
 
 def _pointers(arrays: Sequence[Array]) -> tuple[Any, Any, Any]:

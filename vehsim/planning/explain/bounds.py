@@ -159,7 +159,7 @@ def thrust_ball(vehicle: Vehicle, airspeed: float = 0.0) -> Ball | None:
     ``airspeed``: its largest speed against the air, m/s.
     """
     free = isinstance(vehicle, Holonomic) and vehicle.group.dim == 6 and vehicle.hull is None
-    if not free or vehicle.resistance is not None:  # type: ignore[attr-defined]
+    if not free or vehicle.resistance is not None:  # type: ignore[attr-defined]  # `Holonomic` has it
         return None
     assert isinstance(vehicle, Holonomic)
     linear = vehicle.inertia[3:, 3:]

@@ -171,7 +171,7 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
     placed = [mark for mark in request.marks[i : j + 1] if mark.position is not None]
     if len(placed) > 1 and placed[0] is a and placed[-1] is b:
         reasons += _too_far(request, placed, seconds)
-        up = abs(float(b.position[2] - a.position[2])) - leeway(a) - leeway(b)  # type: ignore[index]
+        up = abs(float(b.position[2] - a.position[2])) - leeway(a) - leeway(b)  # type: ignore[index]  # both have positions
         climb = limits.get("climb")
         if request.vehicle.group.dim == 6 and up > climb * seconds:
             reasons.append((f"{up / seconds:.3g} m/s up or down, limit {climb:g}", up / climb))
@@ -235,7 +235,7 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
         return refused(f"more than the {request.vehicle.name}'s {push.gain:.3g} m/s^2 can do", least)
     if ball is None or not spatial:
         return []
-    displacement = np.subtract(b.position, a.position)  # type: ignore[arg-type]
+    displacement = np.subtract(b.position, a.position)  # type: ignore[arg-type]  # both have positions
     room, speeds = leeway(a) + leeway(b), (_speed(a), _speed(b))
     balls: list[tuple[Ball, float, tuple[Any, Any], str]] = [
         (ball, room + slack, own, f"the {request.vehicle.name}'s thrust can do")

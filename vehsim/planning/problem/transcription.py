@@ -105,7 +105,7 @@ class Transcription:
             return ca.SX.sym("cell", 0), self.vehicle
         # everywhere at once, the terrain would need a hundred times as many operations
         cell = ca.SX.sym("cell", self.weight.relief.CELL)
-        return cell, replace(self.vehicle, potential_energy=replace(self.weight, cell=cell))  # type: ignore[call-arg]
+        return cell, replace(self.vehicle, potential_energy=replace(self.weight, cell=cell))  # type: ignore[call-arg]  # a weight belongs to a nonholonomic vehicle
 
     @property
     def segment(self) -> ca.Function:

@@ -179,7 +179,7 @@ def linear(curves: Sequence[tuple[Values, Values]]) -> Callable[[float, Any], Va
     def law(t: float, state: Any) -> Values:
         return np.array([np.interp(np.round(t, SAME), times, values) for times, values in rounded])
 
-    law.blind = True  # type: ignore[attr-defined]
+    law.blind = True  # type: ignore[attr-defined]  # read by `Forced`: it ignores the state
     return law
 
 

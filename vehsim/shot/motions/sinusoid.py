@@ -108,7 +108,7 @@ class SinusoidMotion(Table):
         except InputError as error:
             yield error.problem.seen_from("method", "sinusoid", "give it another method")
             return
-        yield from check_order(self.mark, context)  # type: ignore[arg-type]
+        yield from check_order(self.mark, context)  # type: ignore[arg-type]  # a list of marks
         known = FLIGHT_LIMITS if flies else {name: 1.0 for name in LIMITS if name != "hitch" or len(vehicle.joints) > 2}
         wrong = list(check_names("limits", self.limits, known, "limit"))
         yield from wrong
@@ -134,7 +134,7 @@ class SinusoidMotion(Table):
         if not flies:
             from vehsim.shot.world.obstacle_tables import check_marks
 
-            yield from check_marks(self.mark, vehicle, context.world, self.clearance)  # type: ignore[arg-type]
+            yield from check_marks(self.mark, vehicle, context.world, self.clearance)  # type: ignore[arg-type]  # a list of marks
 
     def _check_joints(self, vehicle: Vehicle) -> Iterator[Problem]:
         rig = self._rig(vehicle)
@@ -363,7 +363,7 @@ class SinusoidMotion(Table):
         limits = {_STATES.get(name, name): value * units[name] for name, value in self.limits.items()}
         limits = self._traits(rig)[0] | limits
         if hops and "l_rate" in limits:
-            limits["l_rate"] /= rig.leg_length  # type: ignore[attr-defined]
+            limits["l_rate"] /= rig.leg_length  # type: ignore[attr-defined]  # only the hopper flies
         amplitude = None if self.amplitude is None else self.amplitude * (np.pi / 180 if hops else 1.0)
         return SinusoidOptions(
             amplitude, self.cycles, None if self.phase is None else float(np.deg2rad(self.phase)), limits

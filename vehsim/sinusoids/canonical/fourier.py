@@ -125,7 +125,7 @@ def steer_triangular(
     """
     change = system if isinstance(system, Feedback) else None
     source: DriftlessSystem = system.source if isinstance(system, Feedback) else system
-    t = triangular(change.target if change else system)  # type: ignore[arg-type]
+    t = triangular(change.target if change else system)  # type: ignore[arg-type]  # `change` is the feedback
     x0, x1 = source.check_state("start", start), source.check_state("goal", goal)
     h0, h1 = (change.to(x0), change.to(x1)) if change else (x0, x1)
     signs = (1.0, -1.0) if cycles is None else (1.0,)

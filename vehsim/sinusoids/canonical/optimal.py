@@ -7,6 +7,8 @@ planes are continued to the required areas, with Newton's method at every step.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -135,7 +137,7 @@ def _continued(d: Array, y: Array) -> tuple[Array, Array]:
     share, step, tangent = 0.0, 0.25, np.zeros_like(unknowns)
     while share < 1:
         step = min(step, 1 - share)
-        trial = _newton(lambda p, at=share + step: gap(p, at), unknowns + step * tangent)
+        trial = _newton(partial(gap, share=share + step), unknowns + step * tangent)
         if trial is None:
             step /= 2
             if step < 1e-4:
@@ -151,17 +153,17 @@ def _continued(d: Array, y: Array) -> tuple[Array, Array]:
     return unpack(unknowns)
 
 
-def _newton(gap: object, start: Array) -> Array | None:
+def _newton(gap: Callable[[Array], Array], start: Array) -> Array | None:
     """Newton with central differences; None if it does not converge."""
     p = start.copy()
     for _ in range(12):
-        value = gap(p)  # type: ignore[operator]
+        value = gap(p)
         if np.abs(value).max() < 3e-14:
             return p
         h = 1e-6
-        columns = [(gap(p + h * e) - gap(p - h * e)) / (2 * h) for e in np.eye(len(p))]  # type: ignore[operator]
+        columns = [(gap(p + h * e) - gap(p - h * e)) / (2 * h) for e in np.eye(len(p))]
         change = np.linalg.lstsq(np.array(columns).T, -value, rcond=1e-12)[0]
         if np.abs(change).max() > 2.0:
             return None
         p += change
-    return p if np.abs(gap(p)).max() < 1e-12 else None  # type: ignore[operator]
+    return p if np.abs(gap(p)).max() < 1e-12 else None

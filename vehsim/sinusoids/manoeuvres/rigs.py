@@ -105,7 +105,7 @@ class Wheeled(Rigged):
         return min([np.inf, *(min(upper, -lower) for lower, upper in bounds)])
 
     @cached_property
-    def system(self) -> DriftlessSystem:  # type: ignore[override]
+    def system(self) -> DriftlessSystem:  # type: ignore[override]  # a property of `Rigged`
         from vehsim.sinusoids.models import car, trailers
 
         if self.hitches:
@@ -124,7 +124,7 @@ class Wheeled(Rigged):
         return {"sigma": (-sigma, sigma)} | {joint: (-hitch, hitch) for joint in self.vehicle.joints[2:]}
 
     @cached_property
-    def outlines(self) -> tuple[Array, ...]:  # type: ignore[override]
+    def outlines(self) -> tuple[Array, ...]:  # type: ignore[override]  # the same
         """From the collision hulls of the parts of each body."""
         rig = self.vehicle.rig
         if rig is None:

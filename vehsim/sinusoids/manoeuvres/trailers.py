@@ -236,7 +236,7 @@ def _straightenings(system: DriftlessSystem, train: Train, q: Array, limits: tup
         for leg in straighten(train, pull.end if pull else q, list(sign * lengths), "straighten"):
             options.append(((pull is None, sign > 0), [pull, leg] if pull else [leg]))
     found = []
-    costs = _bendings([route[-1:] for _, route in options], limits)  # type: ignore[misc]
+    costs = _bendings([route[-1:] for _, route in options], limits)  # type: ignore[misc]  # routes end with a leg
     for kind in product((True, False), repeat=2):
         rated = [
             (cost, sum(leg.length for leg in route), route)

@@ -100,7 +100,7 @@ class Coefficients:
         own = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self) if f.name != "memory"}
         kept = {f"memory_{f.name}": getattr(self.memory, f.name) for f in fields(Memory)} if self.memory else {}
         buffer = BytesIO()
-        np.savez(buffer, **own, **kept)  # type: ignore[arg-type]
+        np.savez(buffer, **own, **kept)  # type: ignore[arg-type]  # arrays, not options
         return buffer.getvalue()
 
     @classmethod

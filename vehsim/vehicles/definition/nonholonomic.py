@@ -74,7 +74,7 @@ class Nonholonomic(Vehicle):
 
     @property
     def tied(self) -> tuple[int, ...]:
-        return self._tied  # type: ignore[attr-defined, no-any-return]
+        return self._tied  # type: ignore[attr-defined, no-any-return]  # set when it is made
 
     def chart_at(self, r: Any) -> Nonholonomic | None:
         """The same vehicle with the best columns for joints ``r`` (s,) eliminated, if these differ."""

@@ -351,7 +351,7 @@ def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
     return Rig(
         asset=asset,
         root=root if asset == source else "",
-        origin=origin,  # type: ignore[arg-type]
+        origin=origin,  # type: ignore[arg-type]  # checked by the file's schema
         drives=drives,
         suspension=springs,
         variants=dict(data.get("variants", {})),

@@ -126,7 +126,7 @@ def _replacing(factory: Callable[..., Any]) -> type[Table]:
     }
     fields["density"] = (Annotated[Quantity, Field(description="kg/m^3, or a table of part = kg/m^3")], None)
     for key, rows in (("controls", ControlTable), ("actuators", ActuatorTable), ("joints", BoundsTable)):
-        fields[key] = (Annotated[dict[str, rows], Field(description=words_of(VehicleFile, key))], {})  # type: ignore[valid-type]
+        fields[key] = (Annotated[dict[str, rows], Field(description=words_of(VehicleFile, key))], {})  # type: ignore[valid-type]  # types made at run time
     fields["suspension"] = (
         Annotated[SuspensionTable, Field(description=words_of(VehicleFile, "suspension"))],
         SuspensionTable(),
@@ -161,7 +161,7 @@ def _checked(hint: Any) -> Any:
         return base
     if get_origin(base) is Sequence or get_origin(base) is list:
         (entry,) = get_args(base)
-        return Annotated[list[_checked(entry)], Array, *ranges]  # type: ignore[misc]
+        return Annotated[list[_checked(entry)], Array, *ranges]  # type: ignore[misc]  # a type made at run time
     return Annotated[float, Field(allow_inf_nan=False), IN_RANGE, *ranges] if base is float else Quantity
 
 
@@ -174,7 +174,7 @@ def _words(hint: Any) -> str:
     """A type in words: "a number above zero, in kg"."""
     base, ranges = _parts(hint)
     if rules := [one for one in ranges if isinstance(one, With | Without)]:
-        plain = Annotated[base, *(one for one in ranges if one not in rules)]  # type: ignore[valid-type]
+        plain = Annotated[base, *(one for one in ranges if one not in rules)]  # type: ignore[valid-type]  # a type made at run time
         effect = [f"{'without' if isinstance(one, With) else 'with'} {one.key}" for one in rules]
         return f"{_words(plain)}, no effect {' and '.join(effect)}"
     if get_origin(base) is Literal:

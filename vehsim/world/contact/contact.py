@@ -459,11 +459,11 @@ class Touching(Environment):
         self._scene = ContactScene({vehicle.name: vehicle}, world, contact, start_time)
 
     @property
-    def next_step(self) -> float:  # type: ignore[override]
+    def next_step(self) -> float:  # type: ignore[override]  # an attribute of `Environment`
         return self._scene.next_step
 
     @property
-    def settled(self) -> bool:  # type: ignore[override]
+    def settled(self) -> bool:  # type: ignore[override]  # the same
         return bool(self._scene.settled[0])
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:

@@ -175,7 +175,7 @@ def _crossings(terrain: Any, edges: Array) -> tuple[Array, Array, Array]:
         along = edges[edge, 1] - edges[edge, 0]
         places = edges[edge, 0] + ((number - start) / (end - start))[:, None] * along
         found.append((places, along, np.tile(np.asarray(direction) / np.hypot(*direction), (len(edge), 1))))
-    return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # type: ignore[return-value]
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # type: ignore[return-value]  # three columns
 
 
 def _from_faces(terrain: Any, corners: Array) -> Points:

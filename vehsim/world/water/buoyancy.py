@@ -287,7 +287,7 @@ class Afloat(Environment):
         return State(position=position, orientation=orientation, twist=twist)
 
     @cached_property
-    def max_step(self) -> float:  # type: ignore[override]
+    def max_step(self) -> float:  # type: ignore[override]  # an attribute of `Environment`
         """A quarter of a radian of the fastest heave, pitch or roll, and half of the fastest linear decay."""
         plan, arms, inertia = self._scales
         stiff = np.array([1 / 3, 1 / 3, 0, 0, 0, 1]) * self.water.density * GRAVITY * plan * arms
@@ -295,7 +295,7 @@ class Afloat(Environment):
         return float(min(0.25 / np.sqrt((stiff / inertia).max()), 0.5 / max((decay / inertia).max(), 1e-9)))
 
     @property
-    def next_step(self) -> float:  # type: ignore[override]
+    def next_step(self) -> float:  # type: ignore[override]  # the same
         """Half of the decay time due to the speed of the surface into the water: short during slamming."""
         if self._last is None:
             return np.inf

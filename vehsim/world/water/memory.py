@@ -82,7 +82,7 @@ class Radiation:
         from scipy.interpolate import CubicSpline
 
         knots, values = np.concatenate([[0.0], self.omega]), np.concatenate([np.zeros((1, 6, 6)), self.damping])
-        return CubicSpline(knots, values)  # type: ignore[no-any-return]
+        return CubicSpline(knots, values)  # type: ignore[no-any-return]  # scipy is untyped
 
     def spread(self, width: float) -> Radiation:
         """With every frequency's damping spread over ``width`` spacings."""
