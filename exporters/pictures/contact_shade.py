@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from vehsim.exporters.usd.stage import Shape, StageReader
 
 Array = NDArray[np.float64]
+Placed = tuple[Array, Shape]
+"""A shape, and the transform (4, 4) to the root's frame from its own, at the first frame."""
 
 CELLS = 56
 """Cells along a vehicle's longest side."""
@@ -97,17 +99,17 @@ class Shades:
         self._first = poses[0]
         self.bodies: list[str] = []
         self._roots: dict[str, str] = {}
-        self._parts: dict[str, list[tuple[Array, Shape]]] = {}
+        self._parts: dict[str, list[Placed]] = {}
         for group in sorted(poses[0]):
             above = [body for body in self.bodies if group.startswith(f"{body}/")]
             root = self._roots[above[0]] if above else group
-            parts = [
-                (np.linalg.inv(poses[0][root]) @ poses[0][shape.group], shape)
-                for shape in stage.shapes
-                if shape.surface.opacity == 1 and (shape.group == group or shape.group.startswith(f"{group}/"))
-            ]
+            parts = self._opaque(stage, group, root)
             if above:
-                if not _moves_sideways(group, above[-1], root, parts, self._parts[root], poses):
+                whole = _points(self._opaque(stage, root, root))
+                if not parts or _beyond_shade(_points(parts), whole):
+                    continue
+                middle = _points(parts).mean(axis=0)  # that of wheels and rotors stays
+                if self._travel(group, above[-1], middle, poses) <= np.ptp(whole, axis=0)[:2].max() / CELLS:
                     continue
                 own = {id(shape) for _, shape in parts}
                 self._parts[above[-1]] = [part for part in self._parts[above[-1]] if id(part[1]) not in own]
@@ -115,6 +117,22 @@ class Shades:
             self._roots[group], self._parts[group] = root, parts
         self._of_shape: dict[bytes, Shade] = {}
         self._shades: dict[str, Shade | None] = {}
+
+    def _opaque(self, stage: StageReader, group: str, root: str) -> list[Placed]:
+        """The opaque shapes at and below a prim, as they are placed at the first frame."""
+        return [
+            (np.linalg.inv(self._first[root]) @ self._first[shape.group], shape)
+            for shape in stage.shapes
+            if shape.surface.opacity == 1 and (shape.group == group or shape.group.startswith(f"{group}/"))
+        ]
+
+    def _travel(self, group: str, above: str, middle: Array, poses: list[dict[str, Array]]) -> float:
+        """How far a point (3,) m in the frame of the root moves sideways with ``group``, relative to ``above``, m."""
+        first, root = self._first, self._first[self._roots[above]]
+        in_group = np.linalg.inv(first[group]) @ root @ np.append(middle, 1.0)
+        from_above = np.linalg.inv(root) @ first[above]
+        places = np.array([from_above @ np.linalg.inv(now[above]) @ now[group] @ in_group for now in poses])
+        return float(np.abs(places[:, :2] - middle[:2]).max())
 
     def frame(self, body: str, poses: dict[str, Array]) -> Array:
         """Pose (4, 4) of the frame of a shade when prims have these ``poses``: its root's, moved with the body."""
@@ -127,10 +145,10 @@ class Shades:
             self._shades[body] = self._made(self._parts[body])
         return self._shades[body]
 
-    def _made(self, parts: list[tuple[Array, Shape]]) -> Shade | None:
+    def _made(self, parts: list[Placed]) -> Shade | None:
         if not parts:
             return None
-        points = np.concatenate([shape.points @ T_rg[:3, :3].T + T_rg[:3, 3] for T_rg, shape in parts])
+        points = _points(parts)
         firsts = np.cumsum([0, *(len(shape.points) for _, shape in parts)])
         faces = np.concatenate([shape.faces + first for first, (_, shape) in zip(firsts, parts, strict=False)])
         key = hashlib.sha256(np.round(points, 4).tobytes() + faces.tobytes()).digest()
@@ -139,31 +157,15 @@ class Shades:
         return self._of_shape[key]
 
 
-def _moves_sideways(
-    group: str,
-    above: str,
-    root: str,
-    parts: list[tuple[Array, Shape]],
-    whole: list[tuple[Array, Shape]],
-    poses: list[dict[str, Array]],
-) -> bool:
-    """Whether a prim's ``parts`` reach as far down as its vehicle's shade, and move by more than a cell of it relative
-    to the prim ``above`` them.
+def _points(parts: list[Placed]) -> Array:
+    """The points (n, 3) m of shapes in the root's frame."""
+    return np.concatenate([np.zeros((0, 3)), *(shape.points @ T[:3, :3].T + T[:3, 3] for T, shape in parts)])
 
-    Parts are given in the frame of the root, as is the ``whole`` vehicle; the middle of wheels and rotors stays.
-    """
-    if not parts or not whole:
-        return False
-    points, every = (np.concatenate([s.points @ T[:3, :3].T + T[:3, 3] for T, s in of]) for of in (parts, whole))
-    size, low = np.ptp(every, axis=0), every[:, 2].min()
-    if points[:, 2].min() > low + FADES[1] * size[2]:  # a rider's shade would fall on the board
-        return False
-    cell = float(size[:2].max()) / CELLS
-    middle = np.append(points.mean(axis=0), 1.0)
-    first = poses[0]
-    in_group, in_above = (np.linalg.inv(first[each]) @ first[root] for each in (group, above))
-    places = np.array([np.linalg.inv(in_above) @ np.linalg.inv(now[above]) @ now[group] @ in_group for now in poses])
-    return bool(np.abs((places @ middle - middle)[:, :2]).max() > cell)
+
+def _beyond_shade(points: Array, whole: Array) -> bool:
+    """Whether points are above those of a ``whole`` vehicle that shade the ground: a rider's shade would fall on the
+    board."""
+    return bool(points[:, 2].min() > whole[:, 2].min() + FADES[1] * np.ptp(whole[:, 2]))
 
 
 def _window(count: int, width: float) -> NDArray[np.float32]:
