@@ -179,3 +179,15 @@ def test_a_range_makes_knots_once():
 def test_wrong_gates_are_named(options, message):
     with pytest.raises(InputError, match=message):
         check_marks([Mark(1, position=REST), Mark(9, position=REST, gate=Gate(**options))], ())
+
+
+def test_a_mark_of_arrays_is_one_of_tuples(helicopter):
+    """Marks at rest without an attitude, in wind, gave an error of NumPy when their places were arrays."""
+    mark = Mark(1001, position=np.array([0.0, 0.0, 20.0]), velocity=np.zeros(3), orientation=np.array([1.0, 0, 0, 0]))
+    assert mark == Mark(1001, position=(0.0, 0.0, 20.0), velocity=REST, orientation=(1.0, 0.0, 0.0, 0.0))
+    marks = [
+        Mark(1001, position=np.array([0.0, 0.0, 20.0]), velocity=np.zeros(3)),
+        Mark(1101, position=np.array([9.0, 0.0, 20.0]), velocity=np.zeros(3)),
+    ]
+    plan = vehsim.plan(helicopter, vehsim.World(wind=(3.0, 1.0, 0.0)), marks=marks, segments=8, refine=False)
+    assert plan.success, plan.message

@@ -92,6 +92,12 @@ class Mark(Timed):
     place: int = field(default=-1, repr=False, compare=False)
     """Its index among the given marks; set by the planner."""
 
+    def __post_init__(self) -> None:
+        """Keep arrays as tuples: an array has no truth value, and arrays do not compare as a whole."""
+        for key in ("position", "orientation", "velocity", "joints"):
+            if isinstance(given := getattr(self, key), np.ndarray):
+                object.__setattr__(self, key, tuple(np.atleast_1d(given).tolist()))
+
     @property
     def name(self) -> str:
         """Its name in messages."""
