@@ -9,7 +9,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from vehsim import Shot, load_vehicle
-from vehsim.errors import ShotError
+from vehsim.errors import ShotError, SolveError
 from vehsim.exporters.checks.validate import validate_stage
 from vehsim.exporters.pictures.strobe import strobe_frames
 
@@ -157,3 +157,45 @@ def test_a_left_out_vehicle_that_others_avoid_is_named() -> None:
     (problem,) = Shot.from_dict(data).only(["car"]).check()
     assert (problem.key, problem.value) == ("world.obstacle[3].vehicle", "other")
     assert str(problem).endswith("left out, but the others avoid it; add --only other")
+
+
+def apart(other: dict, clearance: float) -> Shot:
+    """A planned car and another vehicle that cross; each is an obstacle for the other."""
+    marks = [
+        {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [0, 0, 0]},
+        {"frame": 1193, "position": [30, 0, 0], "velocity": [0, 0, 0]},
+    ]
+    first = {"method": "plan", "segments": 16, "clearance": clearance, "mark": marks}
+    return Shot.from_dict(
+        {
+            "shot": {"schema": 1, "name": "apart"},
+            "world": {"obstacle": [{"shape": "vehicle", "vehicle": name} for name in ("first", "second")]},
+            "vehicle": [
+                {"name": "first", "asset": "car", "motion": first},
+                {"name": "second", "asset": "car", "motion": other},
+            ],
+        }
+    )
+
+
+def test_a_plan_keeps_clear_of_a_simulated_vehicle_that_the_file_names_later():
+    """Both were delivered, with exit code 0, while one drove through the other."""
+    start = {"position": [15, -12, 0], "heading": 90, "velocity": [0, 3, 0]}
+    take = apart({"method": "simulate", "duration": 8, "start": start}, 1.0).solve()
+    clearance = {row["key"]: row for row in take.report["audit"]["first"]}["clearance"]
+    assert clearance["met"]
+    assert clearance["value"] >= 0.99
+
+
+def test_a_clearance_that_a_later_plan_does_not_keep_is_refused():
+    """The first vehicle's clearance was measured against nothing that was solved after it."""
+    marks = [
+        {"frame": 1001, "position": [-1, 4, 0], "heading": 0, "velocity": [0, 0, 0]},
+        {"frame": 1193, "position": [29, 4, 0], "velocity": [0, 0, 0]},
+    ]
+    second = {"method": "plan", "segments": 16, "clearance": 0.5, "mark": marks}
+    with pytest.raises(SolveError, match=r"first: clearance: 1\.98\d* m.*give the motion of second a clearance of 3 m"):
+        apart(second, 3.0).solve(cached=False)
+    marks[0]["position"][1] = marks[1]["position"][1] = 6
+    take = apart(second | {"clearance": 3.0}, 3.0).solve(cached=False)
+    assert {row["key"]: row["met"] for row in take.report["audit"]["first"]}["clearance"]

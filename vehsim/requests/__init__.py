@@ -5,7 +5,7 @@ bounds. Planning, steering and pilots write asks; `vehsim.audit` measures a fini
 ``report.json`` contains them, so that an audit can be repeated from the files.
 """
 
-from vehsim.requests.asks import Ask, limit_asks, look_ask, mark_asks, stay_ask
+from vehsim.requests.asks import Ask, clearance_ask, limit_asks, look_ask, mark_asks, stay_ask
 from vehsim.requests.targets import target_asks
 
-__all__ = ["Ask", "limit_asks", "look_ask", "mark_asks", "stay_ask", "target_asks"]
+__all__ = ["Ask", "clearance_ask", "limit_asks", "look_ask", "mark_asks", "stay_ask", "target_asks"]

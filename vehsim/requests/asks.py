@@ -47,6 +47,34 @@ class Ask:
         return cls(**data)
 
 
+NEAR_ENOUGH = 0.01
+"""What a finished motion may lack of its clearance, m."""
+
+
+def clearance_ask(
+    first: float,
+    last: float,
+    clearance: float,
+    *,
+    planar: bool,
+    landings: Sequence[Sequence[float]] = (),
+    slope: float = 0.0,
+    rounded: float = 0.0,
+) -> Ask:
+    """The ask that a vehicle keeps ``clearance`` m from terrain and obstacles; ``planar``: from obstacles only.
+
+    ``landings`` (k, 3) m: around them, less is allowed, by ``slope`` m per m, rounded over ``rounded`` m.
+    """
+    wanted = {
+        "clearance": clearance,
+        "obstacles_only": planar,
+        "landings": [list(map(float, place)) for place in landings],
+        "slope": slope,
+        "round": rounded,
+    }
+    return Ask("clearance", "clearance", first, last, wanted, lower=clearance - NEAR_ENOUGH, unit="m")
+
+
 def mark_asks(
     key: str,
     frame: float,

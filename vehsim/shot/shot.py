@@ -20,7 +20,7 @@ from vehsim.errors import Caution, InputError, Problem, ShotError, SolveError, V
 from vehsim.intake.timelines import read_cuts
 from vehsim.intake.toml import line_of, lines_of, read_toml, too_large
 from vehsim.intake.usd import complaints, dependencies
-from vehsim.requests import target_asks
+from vehsim.requests import clearance_ask, target_asks
 from vehsim.runtime.progress import Progress, silent, told_as
 from vehsim.shot.audited import audit_clips
 from vehsim.shot.checks import (
@@ -36,6 +36,7 @@ from vehsim.shot.cuts import check_cuts
 from vehsim.shot.follow_through import hold, rests
 from vehsim.shot.handles import carry_on
 from vehsim.shot.motions.blocking import blocking_of
+from vehsim.shot.motions.state import is_planar
 from vehsim.shot.overrides import apply_overrides
 from vehsim.shot.schema.shot_file import ShotFile, VehicleTable, parse
 from vehsim.shot.schema.tables import MAX_FRAMES
@@ -212,6 +213,7 @@ class Shot:
             ends = clips[name].start_frame, clips[name].end_frame
             targets = target_asks(report.pop("targets", ()), *ends, float(self.fps))
             asks[name] = [*asks[name], *(ask.as_dict() for ask in targets)]
+            asks[name] = self._asks_apart(name, clips[name], asks[name])
         self._check_free_ends(clips)
         frames = self._frames(clips)
         clips = {name: self._carried(name, clip, frames) for name, clip in clips.items()}
@@ -500,11 +502,9 @@ class Shot:
     def _solve_vehicles(self, progress: Progress) -> tuple[dict[str, Clip], dict[str, Any]]:
         clips: dict[str, Clip] = {}
         reports: dict[str, Any] = {}
-        avoided = self._avoided
         meeting = self._meeting()
         together: dict[str, tuple[Clip, dict[str, Any]]] = {}
-        # vehicles that are obstacles move first, the others around them
-        for i, table in enumerate(sorted(self.file.vehicle, key=lambda vehicle: vehicle.name not in avoided)):
+        for i, table in enumerate(self._in_order()):
             world = self.world_of(table.name, clips)
 
             def report(what: str, done: float, name: str = table.name, before: int = i) -> None:
@@ -528,6 +528,49 @@ class Shot:
     def world_of(self, name: str, clips: Mapping[str, Clip]) -> World:
         """The world of one vehicle: the others that are obstacles move through it as in ``clips``."""
         return with_vehicles(self.world, clips, self._avoided, name)
+
+    def _in_order(self) -> list[VehicleTable]:
+        """The vehicles in the order in which they are solved: each moves around those before it that are obstacles.
+
+        Obstacles come first; of them, those that keep clear of nothing (in a world with contact, others push them),
+        then those on the ground, which flying ones also avoid above and below.
+        """
+        avoided, free = self._avoided, self.file.world.contact is None
+
+        def place(table: VehicleTable) -> tuple[bool, bool, bool]:
+            keeps_clear = self._clearance(table) is not None
+            return table.name not in avoided, free and keeps_clear, keeps_clear and not is_planar(self.vehicle(table))
+
+        return sorted(self.file.vehicle, key=place)
+
+    @staticmethod
+    def _clearance(table: VehicleTable) -> float | None:
+        """The clearance that a vehicle's motion keeps from obstacles, m; None if it avoids nothing."""
+        return getattr(table.motion, "clearance", None)
+
+    def _asks_apart(self, name: str, clip: Clip, asks: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The asks of a vehicle, with its clearance from obstacles that were solved after it too.
+
+        They keep only their own clearance from it; the audit measures whether that is enough.
+        """
+        order = self._in_order()
+        tables = [table.name for table in order]
+        later = [table for table in order[tables.index(name) + 1 :] if table.name in self._avoided]
+        clearance = self._clearance(order[tables.index(name)])
+        if clearance is None or not later:
+            return asks
+        given = [ask for ask in asks if ask["measure"] == "clearance"]
+        if not given:
+            ends = float(clip.start_frame), float(clip.end_frame)
+            given = [clearance_ask(*ends, clearance, planar=clip.vehicle.group.planar).as_dict()]
+            asks = [*asks, *given]
+        less = [table for table in later if (self._clearance(table) or 0.0) < clearance]
+        if less:
+            names = " and ".join(table.name for table in less)
+            given[0]["remedy"] = (
+                f"{names} moves around it: give the motion of {names} a clearance of {clearance:g} m too"
+            )
+        return asks
 
     @property
     def _avoided(self) -> set[str]:

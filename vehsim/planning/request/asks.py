@@ -16,12 +16,10 @@ from vehsim.planning.request.landing import ROUND, SLOPE
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import LIMITS, Constraint, KnotView
-from vehsim.requests import Ask, limit_asks, mark_asks
+from vehsim.requests import Ask, clearance_ask, limit_asks, mark_asks
 from vehsim.requests.asks import ANGLE, EXACT, gate_asks
 from vehsim.vehicles import Vehicle
 
-NEAR_ENOUGH = 0.01
-"""Tolerance of the requested clearance, m."""
 NEAR_BOUND = 1e-3
 """Tolerance of an actuator's rate, and of its command over the control's scale."""
 BEYOND = "character."
@@ -54,14 +52,17 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
         request.hazards or request.world.obstacles or request.world.walls(math.inf) is not None
     ):
         landings = [mark.position for mark in marks if mark.on_ground]
-        wanted = {
-            "clearance": request.clearance,
-            "obstacles_only": request.vehicle.group.dim != 6,
-            "landings": [list(map(float, place)) for place in landings if place is not None],
-            "slope": SLOPE,
-            "round": ROUND,
-        }
-        asks.append(Ask("clearance", "clearance", first, last, wanted, lower=request.clearance - NEAR_ENOUGH, unit="m"))
+        asks.append(
+            clearance_ask(
+                first,
+                last,
+                request.clearance,
+                planar=request.vehicle.group.dim != 6,
+                landings=[place for place in landings if place is not None],
+                slope=SLOPE,
+                rounded=ROUND,
+            )
+        )
     return asks
 
 

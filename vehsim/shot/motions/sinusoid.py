@@ -218,7 +218,7 @@ class SinusoidMotion(Table):
     def _asks(self, vehicle: Vehicle, context: Context, driven: list[int]) -> Iterator[Ask]:
         """The asks of marks, limits and obstacles for a motion whose legs take ``driven`` frames each."""
         from vehsim.lie.quaternions import yaw_tilt
-        from vehsim.requests import Ask, limit_asks, mark_asks
+        from vehsim.requests import Ask, clearance_ask, limit_asks, mark_asks
 
         frame, planar = int(self.mark[0].frame), vehicle.group.planar
         first = frame
@@ -243,8 +243,7 @@ class SinusoidMotion(Table):
         }
         yield from limit_asks(first, frame, limits, {}, {})
         if context.world.obstacles:
-            wanted = {"clearance": self.clearance, "obstacles_only": planar, "landings": [], "slope": 0.0}
-            yield Ask("clearance", "clearance", first, frame, wanted, lower=self.clearance - 0.01, unit="m")
+            yield clearance_ask(first, frame, self.clearance, planar=planar)
 
     def _in_time(
         self, vehicle: Vehicle, context: Context, progress: Progress
