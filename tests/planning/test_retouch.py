@@ -192,3 +192,27 @@ def test_an_edit_on_the_ground_keeps_clear_of_obstacles(drive, aside, least, mos
     """The ground below its wheels is none: the clearance was 0 on every terrain."""
     world = vehsim.World("flat", obstacles=[box("post", (0, aside, 0), (0.2, 0.2, 2))])
     assert least <= _clear(drive, world, drive, 0, 0.5) <= most
+
+
+@pytest.fixture(scope="module")
+def slide():
+    """A car that slides with its handbrake into a bay, at the limit of its grip."""
+    marks = [
+        Mark(frame=1001, position=(-2, 24, 0), heading=-90, velocity=(0, 0, 0), joints={"sigma": 0}),
+        Mark(frame=1097, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+    ]
+    car = vehsim.load_vehicle("drift_car")
+    return vehsim.plan(car, None, marks, fps=24, segments=124, character="stunt").clip
+
+
+def test_an_edit_near_the_end_of_a_slide_is_followed(slide):
+    """On the knots of the slide, which are not on whole frames, its controls can be repeated where it is not edited."""
+    frames, positions, rotations = bumped(slide, 1056, 1094, (0.0, 0.15, 0.0))
+    made = retouch(slide, None, frames, positions, rotations)
+    assert made.kept <= KEPT and made.metres.max() < 0.02
+
+
+def test_knots_are_those_between_which_controls_are_linear(slide, drive):
+    knots = retouching._knots(slide)
+    assert knots == pytest.approx(np.linspace(1001, 1097, 125), abs=1e-6)
+    assert retouching._knots(drive) is None  # every sample of a simulated motion is one

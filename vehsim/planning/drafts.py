@@ -73,7 +73,7 @@ class Draft:
         if shape(marks) != shape(given):
             raise ValueError("the marks fix other quantities than before: make a new draft")
         request = replace(before, world=world, given=marks, marks=same_choices(marks, given, before.marks))
-        run = Run(request, solvers=self._run.solvers, draft=True)
+        run = Run(request, solvers=self._run.solvers, end="draft")
         with interrupts.remembered():
             if world is not before.world:
                 changed = _changed(before.world, world)
@@ -82,7 +82,7 @@ class Draft:
                 cover = self._cover(request, changed, run.deadline.watched(None))
                 earlier = self._iterate.cover
                 if cover is not None and (earlier is None or cover.fields != earlier.fields):  # solvers contain them
-                    run = Run(request, draft=True)
+                    run = Run(request, end="draft")
             iterate = solve(run, at_marks(self._iterate, request, cover))
         return Draft(iterate, run)
 
@@ -141,7 +141,7 @@ def draft(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clip: Clip | None
 
 def _first(request: Request, clip: Clip | None) -> Draft:
     """The first draft of a request."""
-    run = Run(request, draft=True)
+    run = Run(request, end="draft")
     with interrupts.remembered():
         paths = find_paths(request, clip, run.deadline.watched(None))
         cover = cover_for(request, paths, run.deadline.watched(None))

@@ -17,7 +17,7 @@ from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.deadline import Deadline
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.layout import Layout
-from vehsim.planning.problem.solver import Multipliers, Solution
+from vehsim.planning.problem.solver import End, Multipliers, Solution
 from vehsim.planning.problem.solver_cache import SolverCache
 from vehsim.planning.request.request import Request
 from vehsim.planning.trajectory import Trajectory, drawn
@@ -153,7 +153,7 @@ class Iterate(Trajectory):
 class Run:
     """The resources and counters of one planner run: its deadline, its solver cache, and its progress callback.
 
-    ``draft``: whether its solves end as soon as the motion looks final.
+    ``end``: when its solves end; None: as the character of the request says.
     """
 
     def __init__(
@@ -161,10 +161,10 @@ class Run:
         request: Request,
         progress: Progress | None = None,
         solvers: SolverCache | None = None,
-        draft: bool = False,
+        end: End | None = None,
     ) -> None:
         self.deadline = Deadline(request.deadline)
-        self.progress, self.draft = progress, draft
+        self.progress, self.end = progress, end
         self.solvers = solvers or SolverCache()
         self.iterations = 0
         self.build_seconds = self.solve_seconds = 0.0

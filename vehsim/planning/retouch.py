@@ -28,8 +28,6 @@ from vehsim.planning.constraints.dynamics import UnitQuaternion
 from vehsim.planning.constraints.easing import Easing
 from vehsim.planning.constraints.mark_constraints import MarkConstraint, same_state
 from vehsim.planning.costs import RunningCosts
-from vehsim.planning.guesses.paths import along_clip
-from vehsim.planning.guesses.prolongate import prolongate
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.elements import Element, NonlinearProgram
@@ -57,10 +55,16 @@ KEPT = 0.01
 """Largest distance of untouched frames from the solved motion, m."""
 AT_KNOTS = 0.8
 """Share of `KEPT` that knots may use: the motion between them needs the rest."""
-TRIES = ((1.0, 1 / 12), (1.5, 1 / 12), (1.0, 1 / 24), (1.5, 1 / 24))
+TRIES: tuple[tuple[float, float | None], ...] = ((1.0, 1 / 12), (1.5, 1 / 12), (1.0, 1 / 24), (1.5, 1 / 24))
 """How long before and after the touched frames the vehicle may prepare and recover on dry asphalt, s (`_slower` says by
-what factor it is longer), and the duration of a segment, s, until a motion is found: a car at the limit of its grip
-needs longer to return, and linear controls must be able to show those of the solved motion."""
+what factor it is longer), and the duration of a segment, s, until a motion is found: linear controls must be able to
+show those of the solved motion."""
+SLIDES: tuple[tuple[float, float | None], ...] = ((1.0, None), (1.5, None))
+"""The same where tyres slide, on the knots of the solved motion: other linear controls do not repeat a slide."""
+FINEST = 1 / 40
+"""Smallest duration of the segments of a solved motion on whose knots an edit is solved, s."""
+BEND = 1e-6
+"""By how much, relative to its largest slope, a control's slope changes at a knot at least."""
 FEWEST = 6
 """Smallest number of segments of a window."""
 ITERATIONS = 60
@@ -71,6 +75,8 @@ LOOSE = 1e-3
 """Weight of the attitude, relative to where it was edited, on frames of which only the position was."""
 SMOOTH = 1e-3
 """Cost per second of controls that depart from the solved ones at a rate of one typical control per second."""
+SAME = 1e-6
+"""Difference below which two frames are one."""
 STANDS = 0.05
 """Distance of a flying vehicle from the ground and obstacles below which it counts as landed, m."""
 SPENT = ("work", "dissipated")
@@ -145,11 +151,14 @@ def retouch(
             subject=clip.vehicle.name,
         )
     fixed, made, slower = [*stops, *edit.frames[landed]], None, _slower(clip.vehicle)
-    slips = math.isfinite(clip.vehicle.largest_step)  # controls of long segments do not repeat a slide
-    for room, segment in sorted(TRIES) if slips else TRIES:
-        tried = edit.windows(round(room * slower * float(clip.fps)), fixed)
+    slides = math.isfinite(clip.vehicle.largest_step)
+    knots = _knots(clip) if slides else None
+    for room, segment in SLIDES if knots is not None else sorted(TRIES) if slides else TRIES:
+        tried = edit.windows(round(room * slower * float(clip.fps)), fixed, knots)
+        segments = knots if segment is None else segment
+        assert segments is not None
         try:
-            made = _solved_again(clip, world, edit, tried, segment, clearance, limits, progress)
+            made = _solved_again(clip, world, edit, tried, segments, clearance, limits, progress)
         except SolveError as error:
             failed = error
             continue
@@ -166,7 +175,7 @@ def retouch(
     return Retouch(
         made,
         touched,
-        tuple(windows),
+        tuple((math.floor(first), math.ceil(last)) for first, last in windows),
         edit.frames,
         metres,
         degrees,
@@ -218,20 +227,23 @@ class _Edit:
     def touched(self) -> NDArray[np.bool_]:
         return self.moved | self.turned
 
-    def windows(self, room: int, stops: Sequence[float]) -> list[tuple[int, int]]:
-        """Runs of touched frames, with ``room`` frames on either side, but not beyond ``stops``; joined where they
-        meet."""
-        found: list[tuple[int, int]] = []
+    def windows(self, room: int, stops: Sequence[float], knots: Array | None = None) -> list[tuple[float, float]]:
+        """First and last frame of runs of touched frames, with ``room`` frames on either side, but not beyond
+        ``stops``; from knot to knot, if their frames ``knots`` (n,) are given; joined where they meet."""
+        found: list[tuple[float, float]] = []
         fixed = [round(stop - self.frames[0]) for stop in stops]
         fixed = [k for k in fixed if 0 <= k < len(self.frames) and not self.touched[k]]
         for a, b in _runs(self.touched):
             first = max([a - room, 0, *(k for k in fixed if k < a)])
             last = min([b + room, len(self.frames) - 1, *(k for k in fixed if k > b)])
-            if found and first < found[-1][1]:
-                found[-1] = found[-1][0], last
-            else:
-                found.append((first, last))
-        return [(int(self.frames[a]), int(self.frames[b])) for a, b in found]
+            begin, end = float(self.frames[first]), float(self.frames[last])
+            if knots is not None:
+                i, j = np.searchsorted(knots, [begin + SAME, end - SAME])
+                begin, end = float(knots[max(i - 1, 0)]), float(knots[min(j, len(knots) - 1)])
+            if found and begin < found[-1][1]:
+                begin = found.pop()[0]
+            found.append((begin, end))
+        return found
 
     def at(self, frames: Array) -> tuple[Array, Array, Array]:
         """Positions (k, 3) and rotations (k, 3, 3) at any ``frames`` (k,), and the weights (k, 2) of their change."""
@@ -257,24 +269,28 @@ def _solved_again(
     clip: Clip,
     world: Any,
     edit: _Edit,
-    windows: Sequence[tuple[int, int]],
-    segment: float,
+    windows: Sequence[tuple[float, float]],
+    segments: float | Array,
     clearance: float,
     limits: Mapping[str, float] | None,
     progress: Progress | None,
 ) -> Clip:
-    """The clip with another motion in every window, from the state of ``clip`` at its first frame to that at its last,
-    on segments of about ``segment`` s. Raises ``SolveError``."""
+    """The clip with another motion in every window, from the state of ``clip`` at its first frame to that at its last.
+    ``segments``: their duration, about, s, or the frames of their knots. Raises ``SolveError``."""
     made = clip
     for number, window in enumerate(windows):
         if progress is not None:
-            progress(f"retouching frames {window[0]} to {window[1]}", number / len(windows))
-        count = max(FEWEST, int(np.ceil((window[1] - window[0]) / float(clip.fps) / segment)))
+            progress(f"retouching frames {window[0]:.0f} to {window[1]:.0f}", number / len(windows))
+        if isinstance(segments, float):
+            count = int(np.ceil((window[1] - window[0]) / float(clip.fps) / segments))
+        else:
+            count = int(np.subtract(*np.searchsorted(segments, [window[1] - SAME, window[0] - SAME])))
+        count = max(FEWEST, count)
         request, iterate = _attempt(clip, world, edit, window, count, clearance, limits, progress)
         if not iterate.success:
             why = iterate.worst() if iterate.solution else "not solved"
             raise SolveError(
-                f"frames {window[0]} to {window[1]} of the edit: no motion leads back to the solved one: {why}",
+                f"frames {window[0]:.0f} to {window[1]:.0f} of the edit: no motion leads back to the solved one: {why}",
                 "edit less, or more frames around it",
                 subject=clip.vehicle.name,
             )
@@ -286,17 +302,17 @@ def _attempt(
     clip: Clip,
     world: Any,
     edit: _Edit,
-    window: tuple[int, int],
+    window: tuple[float, float],
     count: int,
     clearance: float,
     limits: Mapping[str, float] | None,
     progress: Progress | None,
 ) -> tuple[Request, Iterate]:
     """The motion of a window on ``count`` segments, solved or not."""
-    spans = np.arange(window[0], window[1] + 1.0)
-    solved = clip.at(_times(clip, spans))
-    marks = [Mark(window[k], position=tuple(solved.positions[j].tolist())) for k, j in ((0, 0), (1, -1))]
-    near = _clear(clip, world, solved, window[0], clearance)
+    first, last = math.floor(window[0] + SAME), math.ceil(window[1] - SAME)
+    solved = clip.at(_times(clip, np.arange(first, last + 1.0)))
+    marks = [Mark(frame, position=tuple(solved.positions[j].tolist())) for frame, j in ((first, 0), (last, -1))]
+    near = _clear(clip, world, solved, first, clearance)
     request = make_request(
         clip.vehicle,
         world,
@@ -308,15 +324,16 @@ def _attempt(
         character=STUNT,
         max_iterations=ITERATIONS,
     )
-    run, transcription = Run(request, progress), transcribe(request.weighed)
-    local = replace(solved, times=solved.times - solved.times[0], start_frame=window[0])
+    exact = [replace(mark, frame=at) for mark, at in zip(request.marks, window, strict=True)]  # type: ignore[arg-type]
+    request = replace(request, marks=exact)  # knots need not be on whole frames
+    run, transcription = Run(request, progress, end="near"), transcribe(request.weighed)
+    local = clip.at(_times(clip, np.linspace(*window, 2 * count + 1)))  # at the knots, and halfway
     with interrupts.remembered():
         cover = cover_for(request, [poses_of(local)], run.deadline.watched(progress))
-        coarse, lengths = Layout(transcription.sizes, (count,)), np.array([local.duration / count])
-        x = along_clip(transcription, coarse, request.marks, _flat(local), lengths)
-        layout = replace(coarse, order=ORDER)
-        x = prolongate(Trajectory(request, transcription, coarse, x), layout)
-        ends = _ends(transcription, layout, _flat(local), edit, window, x)
+        layout = Layout(transcription.sizes, (count,), ORDER)
+        states = _states(transcription, _flat(local))
+        x = _variables(transcription, layout, states, local.duration / count)
+        ends = _ends(transcription, states, edit, window)
         blocks = [*_without_costs(request, transcription, cover, ends), ends, _Following(edit, clip)]
         guess = Trajectory(request, transcription, layout, x)
         active = tuple(block.activate(guess) for block in blocks)
@@ -403,30 +420,40 @@ def _end_element(transcription: Transcription) -> Element:
     return Element("the end of the edit", ca.vertcat(x1, c1), {"end": end}, g=same_state(transcription, x, c, x1, c1))
 
 
-def _ends(
-    transcription: Transcription, layout: Layout, solved: Clip, edit: _Edit, window: tuple[int, int], x: Array
-) -> _Ends:
-    """The ends of a window, from the states of the solved motion at its first and last frame."""
-    begins, ends = (not edit.touched[int(frame - edit.frames[0])] for frame in window)
-    states = [_state(transcription, solved, k) for k in (0, -1)]
+def _ends(transcription: Transcription, states: Array, edit: _Edit, window: tuple[float, float]) -> _Ends:
+    """The ends of a window, from the first and last of its ``states``."""
+    begins, ends = (not edit.touched[round(frame - edit.frames[0])] for frame in window)
     momenta = slice(sum(transcription.sizes[:2]), sum(transcription.sizes[:3]))
-    rests = [bool(np.abs(state[momenta]).max(initial=0.0) < 1e-6) for state in states]
-    still = (rests[0] and not begins, rests[1] and not ends)
-    idle = transcription.sizes[0] + np.array(transcription.idle, int)
-    x[layout.knot(0).ravel()[idle]] = states[0][idle]  # joints that influence nothing start as they were
-    return _Ends(states[0], states[1], begins, ends, still)
+    rests = np.abs(states[[0, -1], momenta]).max(axis=1, initial=0.0) < 1e-6
+    still = (bool(rests[0]) and not begins, bool(rests[1]) and not ends)
+    return _Ends(states[0], states[-1], begins, ends, still)
 
 
-def _state(transcription: Transcription, clip: Clip, k: int) -> Array:
-    """State and scaled controls of the problem's variables at a sample of a clip."""
-    from vehsim.vehicles.definition.states import internal
+def _states(transcription: Transcription, clip: Clip) -> Array:
+    """States and scaled controls (n, k) of the problem's variables at the samples of a clip."""
+    vehicle, group = transcription.vehicle, transcription.vehicle.group
+    body = clip.positions + np.einsum("nij,j->ni", matrices(clip.orientations), vehicle.origin)
+    g = group.from_pose(np.hstack([body, clip.orientations]))
+    r, u, xi = clip.joints, clip.joint_rates, group.velocity_from_body(g, group.shift(clip.twists, vehicle.origin))
+    if group.planar:
+        g[:, 0] = poses_of(clip)[:, 3]
+    pi = np.asarray(transcription.mechanics.knot_momentum.map(len(r))(r.T, u.T, xi.T)).T
+    return np.hstack([g, r, pi / transcription.momentum_scale, clip.controls / transcription.control_scale])
 
-    g, r, u, xi = internal(transcription.vehicle, clip.state(k))
-    if clip.vehicle.group.planar:
-        g[0] = poses_of(clip)[k, 3]
-    pi = np.ravel(np.asarray(transcription.mechanics.knot_momentum(r, u, xi)))
-    controls = clip.controls[k] / transcription.control_scale
-    return np.concatenate([np.ravel(g), r, pi / transcription.momentum_scale, controls])
+
+def _variables(transcription: Transcription, layout: Layout, states: Array, length: float) -> Array:
+    """The problem's variables (size,) from ``states`` (2 n + 1, k) at the knots and middles of n segments of ``length``
+    s."""
+    x, knots = np.zeros(layout.size), np.arange(layout.knots)
+    x[layout.knot(knots)] = states[::2, : layout.state].T
+    x[layout.control(knots)] = states[::2, layout.state :].T
+    cuts = np.cumsum([*transcription.sizes[:3]])
+    _, r, pi, c = np.split(states[1::2], cuts, axis=1)
+    middles = r.T, (pi * transcription.momentum_scale).T, (c * transcription.control_scale).T
+    velocities = transcription.mechanics.knot_velocity_guess.map(layout.segments)(*middles)
+    x[layout.velocity(np.arange(layout.segments))] = velocities
+    x[layout.lengths] = length
+    return x
 
 
 @dataclass(frozen=True, eq=False)
@@ -523,6 +550,21 @@ def _inside(transcription: Transcription, axes: int) -> Element:
 # ---------------------------------------------------------------- clips
 
 
+def _knots(clip: Clip) -> Array | None:
+    """Frames (n,) of the knots of a planned clip, between which its controls are linear; None for other clips, and for
+    segments shorter than `FINEST`."""
+    slopes = np.diff(clip.controls, axis=0) / np.diff(clip.times)[:, None]
+    bends = np.abs(np.diff(slopes, axis=0)) > BEND * np.abs(slopes).max(axis=0, initial=0.0)
+    times = clip.times[np.flatnonzero(np.concatenate([[True], bends.any(axis=1), [True]]))]
+    gaps = np.diff(times)
+    length = float(np.median(gaps))
+    parts = np.maximum(np.rint(gaps / length), 1).astype(int)  # controls may be linear over several segments
+    if length < FINEST:
+        return None
+    between = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(times[:-1], times[1:], parts, strict=True)]
+    return np.asarray(clip.start_frame + np.concatenate([*between, times[-1:]]) * float(clip.fps))
+
+
 def _times(clip: Clip, frames: Array) -> Array:
     """Times (n,) s of ``frames`` (n,) of a clip."""
     return np.minimum((frames - clip.start_frame) / float(clip.fps), clip.times[-1])
@@ -555,7 +597,7 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def _replaced(clip: Clip, motion: Clip, window: tuple[int, int]) -> Clip:
+def _replaced(clip: Clip, motion: Clip, window: tuple[float, float]) -> Clip:
     """The clip with another motion in a window; what accumulates, such as the angle of a wheel, continues from it, and
     everything else is afterwards what it was."""
     first, last = _times(clip, np.array(window, float))
@@ -576,7 +618,7 @@ def _replaced(clip: Clip, motion: Clip, window: tuple[int, int]) -> Clip:
     attitudes = np.concatenate([clip.orientations[before], motion.orientations, clip.orientations[after]])
     return replace(
         clip,
-        times=np.concatenate([clip.times[before], motion.times + first, clip.times[after]]),
+        times=np.concatenate([clip.times[before], motion.times - motion.times[0] + first, clip.times[after]]),
         orientations=continuous(attitudes),
         joints=joined(clip.joints, motion.joints, entry.joints[0], leave.joints[0], anew=False, carried=True),
         channels={

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -58,7 +59,7 @@ class Trajectory:
     def seconds(self) -> Array:
         """Times of the knots (n,), s since frame 0."""
         steps = np.repeat(self.lengths, self.layout.legs)
-        start = int(self.request.marks[0].frame) / float(self.request.fps)
+        start = float(self.request.marks[0].frame) / float(self.request.fps)
         return np.asarray(start + np.concatenate([[0.0], np.cumsum(steps)]))
 
     def mark_frames(self) -> list[float]:
@@ -90,10 +91,10 @@ class Trajectory:
 
     @cached_property
     def clip(self) -> Clip:
-        """The clip of the planned vehicle, starting at 0 s."""
+        """The clip of the planned vehicle, starting at 0 s, or within its first frame."""
         g, r, pi, c, steps = self.knots()
-        times = np.concatenate([[0.0], np.cumsum(steps)])
-        start = int(self.request.marks[0].frame)
+        start = math.floor(frame := float(self.request.marks[0].frame))
+        times = (frame - start) / float(self.request.fps) + np.concatenate([[0.0], np.cumsum(steps)])
         anchor = np.zeros(3)
         if self.request.vehicle.group.dim == 3:
             anchor[2] = float(np.asarray(self.request.marks[0].position)[2])

@@ -65,9 +65,9 @@ DRAWN = 1e-4
 """The same for a draft, in which less cannot be seen."""
 LEAST = 1e-3
 """Smallest magnitude of a cost by which it is divided."""
-End = Literal["optimal", "content", "draft"]
-"""When a solve ends: at the least cost; when all constraints are met and the cost hardly changes; or soon after that,
-within what can be seen."""
+End = Literal["optimal", "content", "near", "draft"]
+"""When a solve ends: at the least cost; when all constraints are met and the cost hardly changes; when they are met and
+the cost is nearly the least; or soon after that, within what can be seen."""
 _CONTENT = {
     "acceptable_tol": 1e6,
     "acceptable_dual_inf_tol": 1e6,
@@ -76,21 +76,22 @@ _CONTENT = {
     "acceptable_obj_change_tol": 1e-4,
     "acceptable_iter": 15,
 }
+_NEAR = {
+    "tol": 1e-4,
+    "constr_viol_tol": MET,
+    "dual_inf_tol": 1e3,
+    "compl_inf_tol": 1e-3,
+    # no scaling of the linear systems and none by the first derivatives, which take as long as half an iteration
+    "nlp_scaling_method": "none",
+    "mumps_scaling": 0,
+    "mumps_permuting_scaling": 0,
+}
 _ENDS: dict[End, dict[str, Any]] = {
     "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9},
     # near the earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen
     "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, **_CONTENT},
-    # no scaling of the linear systems and none by the first derivatives, which take as long as half an iteration
-    "draft": {
-        "tol": 1e-4,
-        "constr_viol_tol": DRAWN,
-        "dual_inf_tol": 1e3,
-        "compl_inf_tol": 1e-3,
-        "nlp_scaling_method": "none",
-        "mumps_scaling": 0,
-        "mumps_permuting_scaling": 0,
-        **_CONTENT,
-    },
+    "near": _NEAR,
+    "draft": {**_NEAR, "constr_viol_tol": DRAWN, **_CONTENT},
 }
 
 
