@@ -485,3 +485,22 @@ def test_a_camera_that_cannot_avoid_the_rock_is_named(tunnel):
     through = clip_along(np.stack([14 * T - 35, 0 * T, 5 + 0 * T], 1), 0.0)
     with pytest.warns(UserWarning, match="camera 'it' is inside the rock at frame 1001; give it another place"):
         solve_camera(there, {"v": through}, tunnel, (1001, 1121))
+
+
+def test_a_dense_mesh_has_a_light_outline(tmp_path):
+    """Cameras project every corner of a vehicle at every frame: 10,242 corners of a ball cost seconds."""
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "ball.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/ball").GetPrim())
+    mesh, ball = UsdGeom.Mesh.Define(stage, "/ball/hull"), trimesh.creation.icosphere(5, 3.0)
+    mesh.CreatePointsAttr(ball.vertices)
+    mesh.CreateFaceVertexCountsAttr(np.full(len(ball.faces), 3))
+    mesh.CreateFaceVertexIndicesAttr(ball.faces.ravel())
+    stage.Save()
+    outline = vehicle_outline(SimpleNamespace(rig=SimpleNamespace(asset=tmp_path / "ball.usda", root="")))
+    directions = np.random.default_rng(3).normal(size=(200, 3))
+    reach = (outline @ directions.T).max(axis=0) / np.linalg.norm(directions, axis=1)
+    assert len(outline) <= 2000 and reach.min() > 3.0 * (1 - 2e-3)

@@ -497,22 +497,23 @@ def test_the_water_that_is_shown_is_sheltered_by_moles():
     assert behind < 0.35 * before
 
 
-def seas(count, spacing=25.0):
+def seas(count, spacing=25.0, seed=3):
     """A take of ``count`` boats on one sea of 2 m."""
     clips = {
         f"boat{k}": straight(3.0, 2.0, (spacing * (k % 5), spacing * (k // 5), 0.0)) for k in range(count)
     }  # fmt: skip
-    return Take("sea", clips, World(water=Water(surface=sea_state(2.0, seed=3))), (), Fraction(FPS), (1001, 1049))
+    return Take("sea", clips, World(water=Water(surface=sea_state(2.0, seed=seed))), (), Fraction(FPS), (1001, 1049))
 
 
-def test_a_distant_sea_has_its_relief():
-    """Significant height over the simulated one, in rings around the boat; once 0.25 and 0.07 of it were left. Of waves
-    that have enough cells there, nothing is lost."""
-    take = seas(1)
+@pytest.mark.parametrize("seed", [1, 3, 11])
+def test_a_distant_sea_has_its_relief(seed):
+    """Significant height over the simulated one, in rings around the boat; once 0.25 and 0.07 of it were left, later
+    0.975 far away. Of waves that have enough cells there, nothing is lost."""
+    take = seas(1, seed=seed)
     grid = water_grid.lay_grid(take)
     distance = np.linalg.norm(grid.xy - take.clips["boat0"].positions.mean(axis=0)[:2], axis=1)
     sea = take.world.water.surface
-    for near, far, least in ((0, 20, 0.998), (35, 50, 0.99), (80, 150, 0.97)):
+    for near, far, least in ((0, 20, 0.998), (35, 50, 0.995), (80, 150, 0.98)):
         ring = (distance > near) & (distance < far)
         length = 2 * np.pi / np.hypot(*sea.number.T)
         carried = length > authored.CARRIED[1] * grid.cells[ring].max()

@@ -447,6 +447,37 @@ def test_a_cockpit_is_closed_at_the_gunwale():
     assert boat.hull.volume == pytest.approx(6 * 2 * 0.7 + walls, rel=0.01)
 
 
+def test_cockpits_are_closed_beside_a_moon_pool():
+    """A passage is a hole of the hull's sections too, but holds no water."""
+    import trimesh
+
+    barge, pool, *cockpits = (trimesh.creation.box(size) for size in ((9, 3, 1), (1, 1, 3), (2, 2, 1), (1, 2, 1)))
+    for cockpit, x, z in zip(cockpits, (-2.5, 3.0), (0.2, 0.4), strict=True):
+        cockpit.apply_translation([x, 0, z])
+    notch = trimesh.creation.box((0.4, 9, 0.4))
+    notch.apply_translation([3, 0, 0.5])  # the rim of the second cockpit is 0.3 m above the middle
+    shell = trimesh.boolean.difference([barge, pool, *cockpits, notch])
+    with pytest.warns(UserWarning, match="an open hull: the space of 4 m.3 below its rim, 0.3 m high"):
+        hull = hull_repair.filled(HullMesh(np.array(shell.vertices), np.array(shell.faces)))
+    assert hull.volume == pytest.approx(9 * 3 - 1 - 0.4 * 3 * 0.2 - 0.6 * 2 * 0.2, rel=1e-3)
+
+
+def test_large_meshes_are_repaired_with_few_operations(monkeypatch):
+    """Once a dinghy of 100,000 faces was cut with 33 boxes, and its edges were collapsed one by one: 2 s, 0.3 s now."""
+    points, faces = sphere(1.0, 6)
+    below, thinner = [], []
+    spaces, simplified = hull_repair._Spaces.below, HullMesh.simplified
+    monkeypatch.setattr(hull_repair._Spaces, "below", lambda *given: (below.append(0), spaces(*given))[1])
+    monkeypatch.setattr(
+        HullMesh, "simplified", lambda hull, n: (thinner.append(len(hull.faces)), simplified(hull, n))[1]
+    )
+    bowl = np.where(points[:, 2:] > 0, points * [2.8, 0.9, -0.85], points * [3.0, 1.0, 1.0])  # its upper half within
+    dinghy = HullMesh(bowl, faces)
+    with pytest.warns(UserWarning, match="open hull|simplified to 2,000"):
+        repaired(dinghy)
+    assert len(below) <= 2 and max(thinner) < 40_000
+
+
 def test_a_hull_in_other_units_than_its_mass_is_warned_of():
     points, faces = box(6.0, 2.0, 1.0)
     with pytest.warns(UserWarning, match="displaces 2.93 of its 1.2e.10 m.3 and hardly touches .* metersPerUnit"):

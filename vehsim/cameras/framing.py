@@ -51,6 +51,8 @@ STEP_ASIDE = 0.02
 relative to the camera's distance."""
 STILL = 0.05
 """Largest movement of a parked vehicle, m."""
+OUTLINE = 2000
+"""Most corners of a vehicle's outline: of more, those farthest in as many directions, within 2e-3 of its size."""
 TILTED = 0.55
 """Largest share of the frame's height for the target with its pitch: a steeply pitched vehicle is tall, and would
 otherwise be shown small and far away."""
@@ -225,9 +227,18 @@ def _outline(asset: Path, root: str | None, written: Stamp) -> Array:
     def hull() -> list[Array]:
         from scipy.spatial import ConvexHull
 
-        return [points[ConvexHull(points, qhull_options="QJ").vertices]]
+        corners = points[ConvexHull(points, qhull_options="QJ").vertices]
+        if len(corners) > OUTLINE:
+            corners = corners[np.unique((corners @ _all_around(OUTLINE).T).argmax(axis=0))]
+        return [corners]
 
-    return kept_arrays("outline", [points], hull)[0]
+    return kept_arrays("outline-2", [points], hull)[0]
+
+
+def _all_around(count: int) -> Array:
+    """Evenly spread directions (count, 3): a spiral from pole to pole that turns by the golden angle."""
+    turn, height = np.arange(count) * np.pi * (3 - np.sqrt(5)), 1 - (2 * np.arange(count) + 1) / count
+    return np.column_stack([np.cos(turn), np.sin(turn), height]) * np.sqrt(1 - height**2)[:, None] ** [1, 1, 0]
 
 
 def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:

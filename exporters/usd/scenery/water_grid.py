@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-BYTES_A_SECOND = 8e6
-"""Bytes per second of motion: 80 MB for ten seconds, at any frame rate."""
+BYTES_A_SECOND = 1e7
+"""Bytes per second of motion: 100 MB for ten seconds, at any frame rate."""
 BYTES_A_POINT = 12 + 6 + 2 + 2
 """Bytes per point: points in float, normals, foam and `LOWERED` in half precision."""
 MOST_POINTS = 20_000
@@ -35,9 +35,10 @@ SEEN = 30.0
 """Cameras closer than this to a path extend the fine grid, m."""
 HORIZON = 1500.0
 """Distance of the surface's edge beyond the fine grid, m."""
-GROWTH = 0.06
-"""Side of a cell along its row, per metre beyond the fine grid."""
-ACROSS = 1.5
+GROWTH = 0.05
+"""Side of a cell along its row, per metre beyond the fine grid: a sea of 2 m keeps 98 % of its height up to 150 m from
+the boat, one of 6 m 97 % up to 600 m."""
+ACROSS = 1.3
 """Far cells are longer across their rows than along them by up to this: from low above the water, they look shorter."""
 
 

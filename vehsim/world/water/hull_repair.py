@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
 
@@ -14,6 +16,8 @@ from vehsim.world.water.hull_mesh import Array, HullMesh, wetted
 
 LEVELS = 24
 """Heights at which cockpits are looked for. Bisection finds the gunwale."""
+RIM = 1e-4
+"""Its precision, as a share of the hull's height."""
 SMALL = 2e-3
 """Cockpits and cavities smaller than this share of the hull's volume stay."""
 FACES = 2000
@@ -21,6 +25,8 @@ FACES = 2000
 ERROR = 2e-3
 """Greatest change of the volume and of its centroid below three waterlines: a share of the volume and of the hull's
 length."""
+THIN = 2e-4
+"""Distance, as a share of the length, by which the surface of a large mesh may move before it is simplified."""
 
 
 def repaired(hull: HullMesh) -> HullMesh:
@@ -36,7 +42,7 @@ def repaired(hull: HullMesh) -> HullMesh:
 
     given = np.ascontiguousarray(hull.points, float), np.ascontiguousarray(hull.faces, np.int64)
     content = sha256(repr([array.shape for array in given]).encode() + given[0].tobytes() + given[1].tobytes())
-    points, faces, texts = unpacked(kept("hull-1", content.hexdigest(), make))
+    points, faces, texts = unpacked(kept("hull-2", content.hexdigest(), make))
     for text in json.loads(texts.tobytes()):
         warnings.warn(f"{hull.name}{text}", stacklevel=2)
     return hull.replaced(points, faces)
@@ -44,30 +50,22 @@ def repaired(hull: HullMesh) -> HullMesh:
 
 def filled(hull: HullMesh) -> HullMesh:
     """``hull`` with every space that can hold water closed at its rim: the sea enters a boat over its gunwale only."""
-    import manifold3d
-
-    solid = manifold3d.Manifold(manifold3d.Mesh64(hull.points, hull.faces.astype(np.uint64)))
+    solid = _solid(hull)
     if solid.is_empty():
         warnings.warn(f"{hull.name}: could not be checked for open cockpits: {solid.status()}", stacklevel=3)
         return hull
     low, high = hull.points.min(axis=0), hull.points.max(axis=0)
-    room, closed, rim = 0.0, solid, high[2]
-    levels = np.linspace(high[2], low[2], LEVELS + 2)[1:-1]
-    above = high[2]
-    for level in levels:
-        spaces = _spaces(closed, low, high, level)
-        if sum(space.volume() for space in spaces) > SMALL * hull.volume:
-            inside, outside = level, above
-            while outside - inside > 1e-4 * (high[2] - low[2]):
-                middle = (inside + outside) / 2
-                found = _spaces(closed, low, high, middle)
-                if sum(space.volume() for space in found) > SMALL * hull.volume:
-                    inside, spaces = middle, found
-                else:
-                    outside = middle
-            room += sum(space.volume() for space in spaces)
-            rim = min(rim, inside)
-            for space in spaces:
+    least, room, closed, rim, above = SMALL * hull.volume, 0.0, solid, high[2], high[2]
+    for level in np.linspace(high[2], low[2], LEVELS + 2)[1:-1]:
+        spaces = _Spaces(closed, low, high, least)
+        if spaces.held(level):
+            highest = _highest(spaces.ringed, level, above, RIM * (high[2] - low[2]))
+            found = spaces.below(highest)
+            if _volume(found) <= least:  # what is ringed there is a passage, or small
+                highest = _highest(spaces.held, level, above, RIM * (high[2] - low[2]))
+                found = spaces.below(highest)
+            room, rim = room + _volume(found), min(rim, highest)
+            for space in found:
                 closed += space
         above = level
     if closed is solid:
@@ -81,22 +79,64 @@ def filled(hull: HullMesh) -> HullMesh:
     return hull.replaced(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, np.int64))
 
 
-def _spaces(solid: Any, low: Array, high: Array, level: float) -> list[Any]:
-    """The spaces below ``level`` that the solid encloses: parts of a box around it that do not reach its sides."""
+@dataclass(frozen=True)
+class _Spaces:
+    """The spaces that a solid between the corners ``low`` and ``high`` (3,) encloses; ``least`` m^3 is of interest."""
+
+    solid: Any
+    low: Array
+    high: Array
+    least: float
+
+    def below(self, level: float) -> list[Any]:
+        """Those below ``level``: parts of a box around the solid that do not reach its sides."""
+        import manifold3d
+
+        margin = 0.1 * (self.high - self.low).max()
+        size = np.array([*(self.high - self.low)[:2] + 2 * margin, level - self.low[2] + margin])
+        box = manifold3d.Manifold.cube(size).translate([*(self.low - margin)[:2], self.low[2] - margin])
+        parts = (box - self.solid).decompose()
+        return [part for part in parts if part.bounding_box()[0] > self.low[0] - margin / 2]
+
+    def held(self, level: float) -> bool:
+        """Whether those below ``level`` are large enough. They end in holes of the section there, which are found far
+        sooner than spaces."""
+        return self.ringed(level) and _volume(self.below(level)) > self.least
+
+    def ringed(self, level: float) -> bool:
+        """Whether the section at ``level`` has holes as large as those of large spaces."""
+        rings = [np.asarray(ring) for ring in self.solid.slice(level).to_polygons()]
+        areas = [float((x * (np.roll(y, -1) - np.roll(y, 1))).sum()) / 2 for x, y in (ring.T for ring in rings)]
+        return -sum(area for area in areas if area < 0) > self.least / (self.high - self.low)[2]
+
+
+def _highest(holds: Callable[[float], bool], low: float, high: float, within: float) -> float:
+    """The greatest height up to which ``holds`` is true, from ``low``, where it is, to ``high``, where it is not."""
+    while high - low > within:
+        middle = (low + high) / 2
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def _volume(solids: list[Any]) -> float:
+    return float(sum(solid.volume() for solid in solids))
+
+
+def _solid(hull: HullMesh) -> Any:
     import manifold3d
 
-    margin = 0.1 * (high - low).max()
-    size = np.array([*(high - low)[:2] + 2 * margin, level - low[2] + margin])
-    box = manifold3d.Manifold.cube(size).translate([*(low - margin)[:2], low[2] - margin])
-    parts = (box - solid).decompose()
-    return [part for part in parts if part.bounding_box()[0] > low[0] - margin / 2]
+    return manifold3d.Manifold(
+        manifold3d.Mesh64(np.array(hull.points, order="C"), np.array(hull.faces, np.uint64, order="C"))
+    )
 
 
 def simplified(hull: HullMesh) -> HullMesh:
     """``hull`` with `FACES` faces, or the smallest multiple of this number within `ERROR`. The volume stays exact."""
-    count = FACES
+    if len(hull.faces) <= FACES:
+        return hull
+    lighter, count = _thinned(hull), FACES
     while count < len(hull.faces):
-        rough = hull.simplified(count)
+        rough = lighter.simplified(count)
         middle = rough.points.mean(axis=0)
         scaled = rough.replaced(middle + (rough.points - middle) * np.cbrt(hull.volume / rough.volume), rough.faces)
         volume, centre = _differences(hull, scaled)
@@ -107,8 +147,20 @@ def simplified(hull: HullMesh) -> HullMesh:
                 stacklevel=3,
             )
             return scaled
+        if count > len(lighter.faces):
+            lighter = hull
         count *= 2
     return hull
+
+
+def _thinned(hull: HullMesh) -> HullMesh:
+    """``hull`` without the points of flat and nearly flat places, which is fast: collapsing edges in the best order is
+    slow for many of them."""
+    solid = _solid(hull)
+    if solid.is_empty():
+        return hull
+    mesh = solid.simplify(THIN * float(np.ptp(hull.points, axis=0).max())).to_mesh64()
+    return hull.replaced(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, np.int64))
 
 
 def _differences(one: HullMesh, other: HullMesh) -> tuple[float, float]:
