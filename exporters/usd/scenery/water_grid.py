@@ -37,7 +37,7 @@ HORIZON = 1500.0
 """Distance of the surface's edge beyond the fine grid, m."""
 GROWTH = 0.05
 """Side of a cell along its row, per metre beyond the fine grid: a sea of 2 m keeps 98 % of its height up to 150 m from
-the boat, one of 6 m 97 % up to 600 m."""
+the boat."""
 ACROSS = 1.3
 """Far cells are longer across their rows than along them by up to this: from low above the water, they look shorter."""
 
