@@ -320,3 +320,16 @@ def test_an_interrupted_export_leaves_nothing(tmp_path: Path, number: int) -> No
     assert process.returncode == 130
     assert "Traceback" not in output
     assert not (tmp_path / "out").exists()
+
+
+def test_what_the_check_warned_of_is_not_repeated_by_the_solve(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The check has its line; the solve finds the height of the mark again."""
+    (tmp_path / "high.toml").write_text(
+        '[shot]\nschema = 1\nname = "high"\n[world]\nterrain = "flat"\n[[vehicle]]\nname = "car"\nasset = "car"\n'
+        '[vehicle.motion]\nmethod = "plan"\ncharacter = "stunt"\n[[vehicle.motion.mark]]\nframe = 1001\n'
+        "position = [0, 0, 3]\nheading = 0\n[[vehicle.motion.mark]]\nframe = 1081\nposition = [20, 0, 0]\n"
+    )
+    assert cli.run(["export", str(tmp_path / "high.toml"), "--out", str(tmp_path), "--to", "npz"]) == 0
+    assert capsys.readouterr().err.replace("\n", " ").count("stands on the ground") == 1

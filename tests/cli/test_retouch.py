@@ -136,6 +136,14 @@ def test_a_folder_without_a_report_is_refused(tmp_path: Path, capsys: pytest.Cap
     assert "no report.json" in capsys.readouterr().err
 
 
+def test_a_folder_of_versions_names_the_newest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("v001", "v002"):
+        (tmp_path / name).mkdir()
+    assert cli.run(["retouch", str(tmp_path), "--edit", "edited.usda", "--out", str(tmp_path)]) == cli.WRONG_INPUT
+    told = capsys.readouterr().err.replace("\n", "")
+    assert "holds versions" in told and str(tmp_path / "v002") in told
+
+
 def test_edits_of_other_prims_are_named(delivery: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A wheel, a camera and a part that does not move are edited; the root is not, and wheels on splines are theirs."""
     from pxr import Gf, Usd, UsdGeom

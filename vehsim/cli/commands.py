@@ -28,6 +28,7 @@ from vehsim.runtime.registry import whose_error
 from vehsim.runtime.signals import POLITE, outliving_readers, raising
 
 if TYPE_CHECKING:
+    from vehsim.batch.task import Outcome
     from vehsim.runtime.progress import Progress
 
 app = typer.Typer(
@@ -134,6 +135,7 @@ def export(
         raise typer.Exit(code)
     if errors and not tasks:
         raise typer.Exit(code)
+    told = [problem.said for problem in problems]
     hint = _arguments.film_hint(loaded, names, quality is Quality.draft)
     if hint and log is Log.text and not quiet:
         screen.print(hint, markup=False)
@@ -144,7 +146,7 @@ def export(
             with closing(running):
                 for outcome in running:
                     outcomes[outcome.name] = outcome
-                    watcher.end(outcome)
+                    watcher.end(_without(outcome, told))
     except InputError:  # no such cluster: nothing was started or written
         tasks = []
         raise
@@ -153,6 +155,11 @@ def export(
             write_summary(out, tasks, outcomes, errors)
     failed = any(outcome.state == "failed" for outcome in outcomes.values())
     raise typer.Exit(FAILED if failed or errors else 0)
+
+
+def _without(outcome: Outcome, told: Sequence[str]) -> Outcome:
+    """The outcome without warnings of solving that end in what the check already ``told``, with its line."""
+    return replace(outcome, warnings=tuple(text for text in outcome.warnings if not text.endswith(tuple(told))))
 
 
 @app.command(cls=choices.WithChoices)

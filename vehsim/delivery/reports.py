@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from vehsim.delivery.earlier import SIGN
+from vehsim.delivery.folders import newest
 from vehsim.errors import InputError
 from vehsim.intake.foreign import reading, refuse
 from vehsim.intake.tables import NAME, NOT_A_NAME
@@ -23,6 +24,9 @@ def reading_report(folder: Path) -> Iterator[dict[str, Any]]:
     checked. Any exception in it becomes an ``InputError`` of the report, because that may contain anything."""
     path = folder / SIGN
     if not path.is_file():
+        version = newest(folder)
+        if version != folder:
+            raise InputError(f"holds versions: no {SIGN} in it", f"give one of them: {version}", file=folder)
         raise InputError(f"not a delivery: no {SIGN} in it", "give a folder that vehsim export wrote", file=folder)
     with reading(path, "report", REMEDY):
         report = json.loads(path.read_text(encoding="utf-8"))

@@ -62,7 +62,8 @@ OFF_GROUND = 0.05
 class Shot:
     """A shot file in memory. Make one with `Shot.load` or `Shot.from_dict`; `solve` makes the take.
 
-    Both raise ``ShotError`` with all errors at once.
+    Both raise ``ShotError`` with all errors of the file's form at once, before any other file is read; `check` finds
+    all others.
     """
 
     def __init__(self, file: ShotFile, folder: Path, source: str = "", lines: Mapping[str, int] | None = None):
@@ -97,7 +98,8 @@ class Shot:
         shot = cls(file, Path(folder), source, lines) if file else None
         if problems:
             found = [_place(problem, source, lines) for problem in problems]
-            raise ShotError(found + (shot.check() if shot else []))
+            rest = [] if shot is None else shot._check_header()  # a typing mistake is refused before files are read
+            raise ShotError([*found, *(_place(problem, source, lines) for problem in rest)])
         assert shot is not None
         return shot
 
