@@ -191,3 +191,33 @@ def test_a_mark_of_arrays_is_one_of_tuples(helicopter):
     ]
     plan = vehsim.plan(helicopter, vehsim.World(wind=(3.0, 1.0, 0.0)), marks=marks, segments=8, refine=False)
     assert plan.success, plan.message
+
+
+def test_a_flat_gate_is_refused_on_the_ground(car):
+    """The plan failed with a position that is missed by 0.05 m, and the advice to loosen marks, clearance or limits."""
+    gate = Mark(1049, position=(8, 0, 1), gate=Gate((0.0, 0.0, 1.0), radius=1.0))
+    with pytest.raises(InputError, match=r"mark\[1\].gate.direction.*straight up or down: car moves in the plane"):
+        vehsim.plan(car, marks=[Mark(1001, position=(0, 0, 0), heading=0), gate, Mark(1097, position=(16, 0, 0))])
+
+
+def test_an_attitude_that_leans_is_not_dropped_silently(car):
+    """A car at a mark that is rolled by 45 degrees was delivered level, without a word."""
+    rolled = (np.cos(np.pi / 8), np.sin(np.pi / 8), 0.0, 0.0)
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark(1145, position=(16, 0, 0), velocity=REST, orientation=rolled),
+    ]
+    with pytest.warns(UserWarning, match="orientation: leans by 45 degrees against the ground: car takes its"):
+        plan = vehsim.plan(car, marks=marks, segments=8, refine=False)
+    assert plan.success, plan.message
+
+
+def test_a_climb_limit_holds_on_hills(car):
+    """The vertical speed of a vehicle in the plane was measured as zero: a car on hills kept any limit."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark(1193, position=(30, 2, 0), velocity=REST),
+    ]
+    with pytest.warns(UserWarning, match=r"limits.climb: 0\.\d+ m/s, 0\.05\d* allowed"):
+        plan = vehsim.plan(car, vehsim.World(terrain="hills"), marks=marks, segments=16, limits={"climb": 0.05})
+    assert not plan.success

@@ -154,7 +154,12 @@ def _ceiling(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _climb(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Vertical speed, up or down, m/s."""
+    """Vertical speed, up or down, m/s.
+
+    The velocities of a vehicle that moves in the plane are level; the ground and its springs raise it.
+    """
+    if wanted.get("planar") and len(track.frames) > 1:
+        return np.abs(np.gradient(track.positions[:, 2], track.seconds))
     return np.abs(track.velocities[:, 2])
 
 

@@ -44,6 +44,10 @@ MOST_SEGMENTS = 4096
 """Largest number of segments of a plan."""
 UPRIGHT = 1e-4
 """Lean in balance, rad, up to which a vehicle counts as upright."""
+TILTED = 5.0
+"""Angle between a mark's attitude and the ground, degrees, above which there is a warning that it does not count."""
+SPAN = 0.5
+"""Half the length over which the slope of the ground at a mark is measured, m."""
 UNEVEN = 0.02
 """Largest height above the ground, m, of a part of a standing vehicle without a warning."""
 
@@ -210,6 +214,7 @@ def make_request(
     check_loop(request)
     check_inside(request.marks, vehicle, world)
     check_marks_clear(vehicle, world, request.marks, request.clearance, request.fps)
+    check_level(vehicle, world, request.marks)
     check_standing(vehicle, world, request.marks)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
@@ -283,6 +288,34 @@ def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
             place = [float(x) for x in mark.position]
             message = f"{vehicle.name} cannot stand there: the ground is too steep or too rough"
             raise InputError(message, "move the mark to gentler ground", key=f"{mark.name}.position", value=place)
+
+
+def check_level(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
+    """For a vehicle that moves in the plane: raise ``InputError`` for a gate that it cannot pass, which lies flat; warn
+    of an attitude that leans against the ground, of which it takes the heading alone."""
+    for mark in marks if vehicle.group.planar else ():
+        if mark.gate is not None and not np.any(np.asarray(mark.gate.direction, float)[:2]):
+            message, key = f"straight up or down: {vehicle.name} moves in the plane", f"{mark.name}.gate.direction"
+            raise InputError(message, "give a direction along the ground", key=key, value=list(mark.gate.direction))
+        if mark.orientation is None:
+            continue
+        up = SO3.matrix(np.asarray(mark.orientation, float) / np.linalg.norm(mark.orientation))[:, 2]
+        tilt = math.degrees(math.acos(min(1.0, float(up @ _normal(world, mark.position)))))
+        if tilt > TILTED:
+            message = f"leans by {tilt:.0f} degrees against the ground: {vehicle.name} takes its heading alone"
+            remedy = "give that heading instead; the ground and its springs determine how it leans"
+            warnings.warn(Caution(Problem(f"{mark.name}.orientation", message, remedy)), stacklevel=4)
+
+
+def _normal(world: Any, place: Sequence[float] | None) -> Array:
+    """Unit normal (3,) of the ground at a place; straight up without a terrain."""
+    slope = np.zeros(2)
+    if place is not None and world is not None and world.terrain is not None:
+        steps = np.array([[SPAN, 0.0], [-SPAN, 0.0], [0.0, SPAN], [0.0, -SPAN]])
+        z = np.ravel(world.terrain.height(np.asarray(place, float)[:2] + steps))
+        slope = np.array([z[0] - z[1], z[2] - z[3]]) / (2 * SPAN)
+    normal = np.array([-slope[0], -slope[1], 1.0])
+    return normal / np.linalg.norm(normal)
 
 
 def check_inside(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> None:
