@@ -260,6 +260,42 @@ def test_a_drive_is_recorded_saved_continued_and_undone(tmp_path):
     asyncio.run(play())
 
 
+def test_a_motion_that_a_recording_replaced_is_offered_again(tmp_path):
+    """Also after other edits, with its comments' values; until then the page says what happened."""
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            state = await page.until("state", lambda message: message["solved"])
+            assert not state["problems"]
+            await page.send(kind="restore", vehicle="car")
+            assert "was not driven" in (await page.until("refused"))["text"]
+            await page.send(kind="drive", vehicle="car")
+            await page.until("live", lambda live: live.header["frame"] > 1002)
+            await page.send(kind="stop")
+            await page.until("driven")
+            await page.send(kind="add_note", frame=1001, text="seen")
+            state = await page.until("state", lambda message: message["solved"] and message["notes"])
+            (said,) = state["problems"]
+            assert "drive.car.001.csv now" in said["text"] and "simulate" in said["text"]
+            assert said["restores"] == "car"
+            await page.send(kind="drive", vehicle="car", frame=1002)
+            await page.until("live", lambda live: live.header["frame"] > 1002.5)
+            await page.send(kind="stop")
+            await page.until("driven")
+            stays = "drive.car.001.csv stays"
+            await page.until("state", lambda message: stays in json.dumps(message["problems"]) and message["solved"])
+            await page.send(kind="restore", vehicle=said["restores"])
+            state = await page.until("state", lambda message: not message["problems"])
+            assert state["solved"] and state["recordings"] and not state["drives"][0]["continues"]
+            await page.send(kind="save")
+            await page.until("said")
+
+    asyncio.run(play())
+    assert 'method = "simulate"\nduration = 0.2\n' in path.read_text() and "seen" in path.read_text()
+
+
 def test_sticks_that_do_not_move_again_are_heard(tmp_path):
     """A page sends its sticks once the drive is announced, and then only if they move."""
     path = tmp_path / "drive.toml"
@@ -348,7 +384,8 @@ def test_recordings_are_compared_and_one_is_used(tmp_path):
             await page.send(kind="use_recording", file=names[0])
             await page.until("compared")  # after the motion, which has no other recordings in it
             state = await page.until("state", lambda message: message["solved"])
-            assert [one["used"] for one in state["recordings"]] == [True, False] and not state["problems"]
+            assert [one["used"] for one in state["recordings"]] == [True, False]
+            assert not [one for one in state["problems"] if "restores" not in one]
             (tmp_path / names[1]).with_suffix(".npz").unlink()
             await page.send(kind="undo")
             block = await page.until("compared")

@@ -30,6 +30,7 @@ from vehsim.live.messages import Drag, Place
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 from vehsim.planning import drafts
+from vehsim.planning.problem.solver import Patience
 from vehsim.runtime.signals import raising
 
 PATIENCE = 600.0  # s, on a busy machine
@@ -137,6 +138,29 @@ def test_a_drag_is_drawn_solved_saved_and_undone(path):
             assert motion.header["marks"][1]["position"] == [8.0, 1.0, 0.0]
 
     asyncio.run(play())
+
+
+def test_a_motion_that_lags_behind_the_handle_follows_when_the_drag_pauses(path, monkeypatch):
+    """Also on release: the dragged motion, which is compared with the solved one, is then at its end."""
+    whole = Session(path, path.parent / "out", lambda what, done: None)
+    whole.solve()
+    whole.scene()
+    wanted = points(Block(whole.drag(Drag(**moved("drag", 8.0, 3.0, 20.0)))))
+    monkeypatch.setattr(drafts, "GLANCE", Patience(1, unfinished=np.inf))
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            await page.send(**moved("drag", 8.0, 3.0, 20.0))
+            drawn = [points(await page.until("draft")) for _ in range(2)]
+            assert np.abs(drawn[0] - wanted).max() > 0.02 and np.abs(drawn[1] - wanted).max() < 0.01
+
+    asyncio.run(play())
+    whole.drag(Drag(**moved("drag", 8.0, 1.0, 0.0)))
+    assert whole.lags
+    whole.place(Place(**moved("place", 8.0, 1.0, 0.0)))
+    assert not whole.lags and not whole._drafts["car"].draft.unfinished
+    whole.close()
 
 
 def test_the_page_exports_the_bytes_of_the_command(path):

@@ -10,8 +10,9 @@ from vehsim import Mark
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import matrices, yaw_of
 from vehsim.planning.certificates import certify, certify_plane
-from vehsim.planning.constraints.clearance import Dragged
+from vehsim.planning.constraints.clearance import Clearance, Dragged
 from vehsim.planning.drafts import UNKNOWNS, draft
+from vehsim.planning.problem.solver import Patience
 from vehsim.planning.problem.solver_cache import common
 from vehsim.world.obstacles.obstacles import box
 
@@ -59,6 +60,18 @@ def test_a_dragged_draft_follows_its_marks(first):
     assert yaw == pytest.approx(np.radians(10.0), abs=1e-6)
     plan = vehsim.plan(CAR, None, marks(4.2, 10.0), fps=24, segments=32, character="stunt")
     assert np.abs(clip.positions - plan.clip.resample().positions).max() < 0.05
+
+
+def test_a_draft_whose_patience_ends_goes_on_later(first):
+    """Its end is that of a solve without a pause."""
+    hurried = first.moved(marks(5.0, 20.0), patience=Patience(1, unfinished=np.inf))
+    assert hurried.success and hurried.unfinished
+    strict = first.moved(marks(5.0, 20.0), patience=Patience(1, unfinished=1e-4))
+    assert strict.success and strict._iterate.solution.iterations > 1
+    later, whole = hurried.moved(marks(5.0, 20.0)), first.moved(marks(5.0, 20.0))
+    assert later.success and not later.unfinished and not whole.unfinished
+    assert np.abs(later.clip().positions - whole.clip().positions).max() < 0.01
+    assert np.abs(hurried.clip().positions - whole.clip().positions).max() > 0.01
 
 
 def test_a_failed_draft_says_why_and_the_last_good_one_goes_on(first):
@@ -140,6 +153,27 @@ def test_a_dragged_obstacle_changes_only_parameters(name, height, top):
     assert certify(clip, there) > 0.8 if height else certify_plane(clip, parts(there))[0] > 0.8
     fresh = draft(vehicle, there, ends, clip, **options)
     assert fresh.success and np.abs(fresh.clip().positions - clip.positions).max() < 0.05
+
+
+def test_only_what_is_near_has_rows_while_an_obstacle_is_dragged():
+    """Where a motion has come nearer than expected, rows are added."""
+    ends = [
+        Mark(1001, position=(0, 0, 15), heading=0, velocity=(0, 0, 0)),
+        Mark(1241, position=(60, 0, 15), heading=0, velocity=(0, 0, 0)),
+    ]
+
+    def world(y):
+        return vehsim.World(obstacles=[box("tower", (30, y, 0), (6, 6, 60)), box("far", (0, 90, 0), (4, 4, 60))])
+
+    options = {"fps": 24, "segments": 32, "clearance": 1.0}
+    plan = vehsim.plan(HELICOPTER, world(40.0), ends, **options, refine=False)
+    now = draft(HELICOPTER, world(40.0), ends, plan.clip, **options).moved(ends, world(39.0))
+    assert not now._iterate.block(Clearance).near.any()
+    for y in (12.0, 8.0, 5.0):
+        now = now.moved(ends, world(y))
+        near = now._iterate.block(Clearance).near
+        assert now.success and 0.1 < near[1].mean() < 0.9 and not near[0].any(), now.reason
+    assert certify(now.clip(), world(5.0)) > 0.8
 
 
 def test_what_something_lands_on_may_be_dragged():

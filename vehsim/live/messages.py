@@ -126,6 +126,13 @@ class KeepDragged(_Message):
     vehicle: str
 
 
+class Restore(_Message):
+    """Give a driven vehicle the motion back that it had before."""
+
+    kind: Literal["restore"]
+    vehicle: str
+
+
 class UseRecording(_Message):
     """Make another recording of a driven vehicle its motion."""
 
@@ -155,7 +162,8 @@ class MoveSticks(_Message):
     values: Annotated[list[Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]], Field(max_length=64)]
 
 
-Edit = Place | Change | Fix | AddMark | DeleteMark | AddNote | EditNote | DeleteNote | KeepDragged | UseRecording | Step
+Noted = AddNote | EditNote | DeleteNote
+Edit = Place | Change | Fix | AddMark | DeleteMark | Noted | KeepDragged | Restore | UseRecording | Step
 """What changes the file; the session has a method of each kind's name."""
 Message = Drag | Pressed | Edit | TakeControls | Compare | MoveSticks
 _ADAPTER: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="kind")])

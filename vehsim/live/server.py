@@ -37,6 +37,8 @@ EVERY = 0.1
 """Shortest time between two progress messages, s."""
 MOST = 256 * 2**20
 """What may wait for a browser that does not read, bytes; then it is disconnected; if it returns, it sees everything."""
+PAUSE = 0.15
+"""Time without an event after which a drag pauses, s: a motion that lags behind is then solved to its end."""
 SILENT = 120.0
 """Time after which a browser that answers no ping has gone, s."""
 PARTING = 1.0
@@ -223,7 +225,12 @@ class Server:
         await self._solve(self._session.solve)
         self._wake.set()
         while True:
-            await self._wake.wait()
+            try:
+                async with asyncio.timeout(PAUSE if self._session.lags else None):
+                    await self._wake.wait()
+            except TimeoutError:
+                await self._draw_draft(self._session.catch_up, self._tell)
+                continue
             self._wake.clear()
             while self._jobs or self._drag or (self._unfinished and self._held is None):
                 job = self._jobs.pop(0) if self._jobs else None
@@ -358,11 +365,15 @@ class Server:
                 tell(await self._in_thread(self._session.comparison))
 
     async def _dragged(self, message: Drag, browser: Browser) -> None:
+        await self._draw_draft(lambda: self._session.drag(message), browser.tell)
+
+    async def _draw_draft(self, draft: Callable[[], bytes], refuse: Callable[[Any], None]) -> None:
+        """Show a draft, or tell why there is none."""
         began = monotonic()
         try:
-            block = await self._in_thread(lambda: self._session.drag(message))
+            block = await self._in_thread(draft)
         except VehsimError as error:
-            browser.tell({"kind": "undrawn", "text": str(error)})
+            refuse({"kind": "undrawn", "text": str(error)})
             return
         self._tell(block)
         self._tell({"kind": "drafted", "seconds": round(monotonic() - began, 4)})

@@ -11,7 +11,7 @@ import math
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -52,6 +52,7 @@ from vehsim.live.messages import (
     Moved,
     MoveSticks,
     Place,
+    Restore,
     Step,
     TakeControls,
     UseRecording,
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from vehsim.delivery.take import Take
     from vehsim.live.drive import Sticks
     from vehsim.planning.drafts import Draft
+    from vehsim.planning.problem.solver import Patience
     from vehsim.shot.schema.shot_file import VehicleTable
     from vehsim.shot.shot import Shot
 
@@ -110,7 +112,7 @@ class Session:
         self.take: Take | None = None
         self.problems: list[dict[str, Any]] = []
         """Errors and warnings for the page: ``text``; ``fixes``: keys and values that would work together;
-        ``keeps``: the vehicle whose dragged motion can be kept."""
+        ``keeps``: the vehicle whose dragged motion can be kept; ``restores``: that whose earlier motion can."""
         self.settings: list[Setting] = []
         self.notes: list[dict[str, Any]] = []
         """Those of the last valid text: ``frame``, ``text``, ``position`` or None."""
@@ -118,6 +120,8 @@ class Session:
         """The places of the present text that can be dragged; none if it is no valid shot file."""
         self.sticks: Sticks | None = None
         """Those of the vehicle that is driven now."""
+        self._replaced: dict[str, dict[str, Any]] = {}
+        """The tables of the motion that vehicles had before they were driven."""
         self.compared: list[str] = []
         """The recordings that are drawn beside the present motion, by name of their tables."""
         self._solved = ""
@@ -136,6 +140,8 @@ class Session:
         """Where the scene shows them."""
         self._dragged: Moved | None = None
         """The last drag that was drawn."""
+        self._lagging: Shot | None = None
+        """The shot with the handle where it was dragged last, if its motion is not solved to its end."""
         self._kept: tuple[str, dict[str, Clip]] = "", {}
         """A text, and the motion of vehicles that was drawn before it was solved."""
         self._uncompared: list[str] = []
@@ -165,7 +171,7 @@ class Session:
             "undo": document.undoable,
             "redo": document.redoable,
             "solved": self.solved,
-            "problems": self.problems,
+            "problems": [*self.problems, *self._driven_instead()],
             "handles": [self._handle_shown(handle) for handle in self.handles],
             "unplaced": self._unplaced(),
             "blocked": self._blocked(),
@@ -232,7 +238,7 @@ class Session:
         """
         from vehsim.shot.shot import Shot
 
-        text, self.interrupted = self.document.text, False
+        text, self.interrupted, self._lagging = self.document.text, False, None
         self.settings, self.handles = settings(self.document.data), []
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -368,8 +374,31 @@ class Session:
             write(data, key, value)
         shot = Shot.from_dict(data, folder=self.document.path.parent)
         self._reuse_world(shot)
-        clips = {table.name: self._follow(shot, table.name).clip() for table in following}
+        from vehsim.planning.drafts import GLANCE
+
+        self._lagging = None
+        drafts = {table.name: self._follow(shot, table.name, GLANCE) for table in following}
+        if any(draft.unfinished for draft in drafts.values()):
+            self._lagging = shot
         self._dragged = moved
+        return self._draft_block(drafts)
+
+    @property
+    def lags(self) -> bool:
+        """Whether the last drag's motion is not solved to its end: `catch_up` does that."""
+        return self._lagging is not None
+
+    def catch_up(self) -> bytes:
+        """The drafts of the last drag, solved to their end. Raises ``VehsimError`` with the reason if there is none."""
+        shot, self._lagging = self._lagging, None
+        assert shot is not None
+        behind = [name for name, drawn in self._drafts.items() if drawn.draft.unfinished]
+        return self._draft_block({name: self._follow(shot, name) for name in behind})
+
+    def _draft_block(self, drafts: Mapping[str, Draft]) -> bytes:
+        """What draws drafts, by vehicle."""
+        assert self.take is not None and self._kinematics is not None
+        clips = {name: draft.clip() for name, draft in drafts.items()}
         return draft_block(replace(self.take, clips={**self.take.clips, **clips}), self._kinematics, list(clips))
 
     def place(self, moved: Place) -> bytes | None:
@@ -380,6 +409,8 @@ class Session:
             with suppress(VehsimError):  # a drag that ended elsewhere is drawn to its end, to be compared
                 if self._dragged.model_dump(exclude={"kind"}) != moved.model_dump(exclude={"kind"}):
                     self.drag(moved)
+                if self.lags:
+                    self.catch_up()
                 drawn = {table.name: self._drafts[table.name].draft.clip() for table in self._following(handle)}
         self._dragged = None
         self.document.change(handle.moved(moved.position, moved.heading, moved.frame, moved.tilt))
@@ -573,15 +604,39 @@ class Session:
             self.sticks = None
         path = self._unused(f"{self.document.path.stem}.{name}")
         write_sticks(path, vehicle, made.frames, made.controls)
+        before = self.document.data["vehicle"][at]["motion"]
+        if not offered[name]["continues"]:
+            self._replaced[name] = before
         self.document.put(f"vehicle[{at}].motion", {**made.motion, "file": path.name})
         if not self._ending.is_set():
             self.superseded.clear()  # what ended the drive waits until the recording is complete
         shown = self.solve()
         if self.solved:
             self.take.clips[name].save(path)
+        if offered[name]["continues"]:
+            text = f"{name}: its motion is {path.name} now; {before['file']} stays in the list of recordings"
+            self.problems.append({"text": text})
         if made.problem is not None:
             self.problems.append({"text": f"the simulation ended: {made.problem}"})
         return shown
+
+    def _driven_instead(self) -> Iterator[dict[str, Any]]:
+        """What the page says of every vehicle whose motion was replaced by a recording: this must not go unnoticed."""
+        for table in self.shot.file.vehicle if self.shot else ():
+            if table.motion.method == "sticks" and table.name in self._replaced:
+                method = self._replaced[table.name]["method"]
+                text = f'{table.name}: its motion is the recording {table.motion.file} now, not that of "{method}"'
+                yield {"text": text, "restores": table.name}
+
+    def restore(self, wanted: Restore) -> bytes | None:
+        """Give a vehicle the motion back that it had before it was driven, and `solve`; its recordings stay."""
+        offered = [one["restores"] for one in self._driven_instead()]
+        if wanted.vehicle not in offered:
+            raise InputError("was not driven", "reload the page", key=wanted.vehicle)
+        assert self.shot is not None
+        at = next(k for k, table in enumerate(self.shot.file.vehicle) if table.name == wanted.vehicle)
+        self.document.put(f"vehicle[{at}].motion", self._replaced[wanted.vehicle])
+        return self.solve()
 
     def move_sticks(self, moved: MoveSticks) -> None:
         """Move the sticks of the present drive; those of a drive that has ended have no effect."""
@@ -693,16 +748,16 @@ class Session:
             raise InputError("cannot be dragged", "reload the page", key=moved.key)
         return found
 
-    def _follow(self, shot: Shot, name: str) -> Draft:
+    def _follow(self, shot: Shot, name: str, patience: Patience | None = None) -> Draft:
         """The draft of a vehicle for the marks and the world of ``shot``, which becomes the present one.
 
         It has the character and the segments of the solved motion, because fewer segments or another character may
         lead to another one far away. It is solved from the present draft, also where obstacles moved. If
         anything else differs than the values of marks, or if that fails, a new one starts from its motion; if that
-        fails too, from a new path, at last in the character of the shot. Raises ``VehsimError`` with the reason if
-        there is no such motion.
+        fails too, from a new path, at last in the character of the shot. ``patience``: that of a solve from the
+        present draft. Raises ``VehsimError`` with the reason if there is no such motion.
         """
-        from vehsim.planning.drafts import draft
+        from vehsim.planning.drafts import ENDLESS, draft
         from vehsim.planning.request.marks import shape
         from vehsim.shot.motions.plan import as_mark
 
@@ -721,7 +776,7 @@ class Session:
         before = self._drafts.get(name)
         now, same = None, before is not None and before.request == request
         if before is not None and before.request[1:] == request[1:]:
-            now = before.draft.moved(marks, None if same else world)
+            now = before.draft.moved(marks, None if same else world, patience or ENDLESS)
         if now is None or not (now.success or same):
             clip = before.draft.clip() if before is not None and before.take is self.take else self.take.clips[name]
             starts = [(driven, clip), (driven, None)]  # the second if an obstacle was dragged into the path

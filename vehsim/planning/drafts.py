@@ -19,6 +19,7 @@ from vehsim.planning.guesses.routes import as_clip, find_paths, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.planner import at_marks
 from vehsim.planning.problem import interrupts
+from vehsim.planning.problem.solver import ENDLESS, Patience
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import same_choices
 from vehsim.planning.request.marks import Mark, shape
@@ -37,6 +38,8 @@ UNKNOWNS = 192
 fast flight, and few enough to be solved while somebody drags; fewer than the plan's change the motion visibly."""
 ITERATIONS = 60
 """Largest number of iterations of a solve: marks that cannot be met must not hold up those that follow."""
+GLANCE = Patience(5, unfinished=1e-2)
+"""The iterations of one event of a drag: 0.1 s in the slowest problems. The next event goes on from there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +63,14 @@ class Draft:
             return ""
         return f"worst violation: {self._iterate.worst()}"
 
-    def moved(self, marks: Sequence[Mark], world: Any = None) -> Draft:
-        """The draft for marks that fix the same quantities at other values; ``world``: one with obstacles elsewhere.
+    @property
+    def unfinished(self) -> bool:
+        """Whether the last solve was ended by its patience: the motion follows later, see `moved`."""
+        return self._iterate.solution is not None and self._iterate.solution.unfinished
+
+    def moved(self, marks: Sequence[Mark], world: Any = None, patience: Patience = ENDLESS) -> Draft:
+        """The draft for marks that fix the same quantities at other values; ``world``: one with obstacles elsewhere;
+        ``patience``: that of its solve.
 
         A failed solve is returned too: the next one starts from the last that succeeded. Raises ``InputError`` for
         marks that the vehicle or the world refuses.
@@ -83,7 +92,7 @@ class Draft:
                 earlier = self._iterate.cover
                 if cover is not None and (earlier is None or cover.fields != earlier.fields):  # solvers contain them
                     run = Run(request, end="draft")
-            iterate = solve(run, at_marks(self._iterate, request, cover))
+            iterate = solve(run, at_marks(self._iterate, request, cover), patience)
         return Draft(iterate, run)
 
     def _cover(self, request: Request, changed: Sequence[Any], progress: Progress) -> SphereCover | None:

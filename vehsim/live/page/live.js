@@ -108,7 +108,7 @@
   }
 
   function list(problems) {
-    element("problems").replaceChildren(...problems.map(({ text, fixes, keeps }) => {
+    element("problems").replaceChildren(...problems.map(({ text, fixes, keeps, restores }) => {
       const shown = Object.assign(document.createElement("p"), { textContent: text });
       const offer = (label, message) => {
         const button = Object.assign(document.createElement("button"), { textContent: label, className: "fix" });
@@ -120,6 +120,7 @@
         offer(`set ${key.split(".").slice(-2).join(".")} = ${value}${moves}`, { kind: "fix", fixes });
       }
       if (keeps !== undefined) offer("save the dragged motion as guess", { kind: "keep_dragged", vehicle: keeps });
+      if (restores !== undefined) offer("back to the earlier motion", { kind: "restore", vehicle: restores });
       return shown;
     }));
   }

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -50,6 +51,8 @@ AROUND = 4.0
 SIGHT = 4.0
 """Distance beyond the requested clearance, m, within which terrain stays active on a finer discretisation of a
 motion."""
+DRAGGING = 12.0
+"""The same while an obstacle is dragged, m: a motion may follow it by half of this before the problem is built anew."""
 SLACK = 0.01
 """Tolerance of a certified clearance, m."""
 ROOMY = 0.25
@@ -64,12 +67,16 @@ MORE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Hazard:
-    """A distance field to keep clear of, in its own frame if it ``moves``; ``name``: prefix of its parameters'
-    names."""
+    """A distance field to keep clear of, in the frame of its ``obstacle`` if that moves; ``name``: prefix of its
+    parameters' names."""
 
     name: str
     field: DistanceField
-    moves: bool = False
+    obstacle: Moving | Dragged | None = None
+
+    @property
+    def moves(self) -> bool:
+        return self.obstacle is not None
 
 
 @dataclass(frozen=True)
@@ -147,8 +154,8 @@ class SphereCover:
         """Everything at rest, then each moving obstacle."""
         if self.static is not None:
             yield Hazard("standing", self.static)
-        for i, (_, own) in enumerate(self.moving):
-            yield Hazard(f"moving[{i}]", own, moves=True)
+        for i, (obstacle, own) in enumerate(self.moving):
+            yield Hazard(f"moving[{i}]", own, obstacle)
 
     @property
     def dragged(self) -> set[str]:
@@ -165,7 +172,7 @@ class SphereCover:
 class Clearance(Block):
     """``required`` m from terrain and obstacles, for the spheres at every knot but the first and once per segment.
 
-    ``cover``: None in free space. ``near`` (places,): where the field of everything at rest is active; None:
+    ``cover``: None in free space. ``near`` (hazards, places): where the field of each hazard is active; None:
     everywhere. This block also adds the costs whose laws take a `HazardView`, everywhere.
     """
 
@@ -195,13 +202,13 @@ class Clearance(Block):
         landed = self._landings()
         touching = [problem.parameter(_touching(i), 3 + len(self.cover.radii)) for i in landed]
         slope = problem.parameter("landing slope", 1) if landed else np.zeros(0, np.intp)
-        for hazard in self.cover.hazards():
+        for row, hazard in enumerate(self.cover.hazards()):
             for site, y in _places(layout, marks).items():
+                y = y if self.near is None else y[:, _split(self.near[row], layout, marks)[site]]
                 if hazard.moves:
                     parameters = {"pose": problem.parameter(f"{hazard.name}.pose at {site.name}", 12, y.shape[1])}
                 else:
                     parameters = {"landings": np.concatenate([np.zeros(0, np.intp), *touching]), "slope": slope}
-                    y = y if self.near is None else y[:, _split(self.near, layout, marks)[site]]
                     if self.spare is not None:
                         count = len(self.cover.radii), y.shape[1]
                         parameters["spare"] = problem.parameter(_spare(site), *count)
@@ -218,17 +225,23 @@ class Clearance(Block):
             values |= {_touching(i): self._touching(mark) for i, mark in landed.items()}
             if landed:  # a tighter clearance must be tighter near the landing too
                 values["landing slope"] = SLOPE * self.required / max(self.request.clearance, SLACK)
-        if self.spare is not None:
-            near = np.ones(len(self.spare), bool) if self.near is None else self.near
-            active = _split(near, trajectory.layout, self.request.marks)
-            for site, here in _split(self.spare, trajectory.layout, self.request.marks).items():
-                values[_spare(site)] = here[active[site]].T
-        for i, (obstacle, _) in enumerate(self.cover.moving):
-            positions, orientations = obstacle.poses_at(_seconds(trajectory))
-            poses = np.hstack([positions, SO3.matrix(orientations).transpose(0, 2, 1).reshape(-1, 9)])
-            for site, here in _split(poses, trajectory.layout, self.request.marks).items():
-                values[f"moving[{i}].pose at {site.name}"] = here.T
+        for row, hazard in enumerate(self.cover.hazards()):
+            if hazard.obstacle is not None:
+                positions, orientations = hazard.obstacle.poses_at(_seconds(trajectory))
+                poses = np.hstack([positions, SO3.matrix(orientations).transpose(0, 2, 1).reshape(-1, 9)])
+                for site, here in self._active(poses, row, trajectory).items():
+                    values[f"{hazard.name}.pose at {site.name}"] = here.T
+            elif self.spare is not None:
+                for site, here in self._active(self.spare, row, trajectory).items():
+                    values[_spare(site)] = here.T
         return values
+
+    def _active(self, values: Array, row: int, trajectory: Trajectory) -> dict[Site, Array]:
+        """Values (places, ...) by site, where the hazard of this row is active."""
+        near = np.ones(len(values), bool) if self.near is None else self.near[row]
+        split = _split(values, trajectory.layout, self.request.marks)
+        active = _split(near, trajectory.layout, self.request.marks)
+        return {site: here[active[site]] for site, here in split.items()}
 
     def _landings(self) -> dict[int, Mark]:
         """The marks on the ground by index, each once even if held; empty if nothing is at rest."""
@@ -255,8 +268,18 @@ class Clearance(Block):
         return self.cover.elements[key]
 
     def distances(self, trajectory: Trajectory) -> Array:
-        """Distance of the nearest sphere from everything at rest at every place, m."""
-        return self._spheres(*self._poses(trajectory)).min(axis=1)
+        """Distance of the nearest sphere from each hazard at every place, (hazards, places) m."""
+        assert self.cover is not None
+        positions, rotations = self._poses(trajectory)
+        found = [np.zeros((0, len(positions)))]
+        for hazard in self.cover.hazards():
+            there = positions, rotations
+            if hazard.obstacle is not None:
+                origin, turn = hazard.obstacle.poses_at(_seconds(trajectory))
+                R_ow = SO3.matrix(turn).transpose(0, 2, 1)
+                there = np.squeeze(R_ow @ (positions - origin)[..., None], -1), R_ow @ rotations
+            found.append(self._spheres(hazard.field, *there).min(axis=1)[None])
+        return np.vstack(found)
 
     def of_surface(self, trajectory: Trajectory) -> Clearance:
         """The block for the vehicle's surface, instead of the spheres, near the poses of a trajectory; unchanged if
@@ -264,7 +287,7 @@ class Clearance(Block):
         if self.cover is None or self.cover.static is None:
             return self
         positions, rotations = self._poses(trajectory)
-        more = self._surface(positions, rotations) - self._spheres(positions, rotations)
+        more = self._surface(positions, rotations) - self._spheres(self.cover.static, positions, rotations)
         return replace(self, spare=np.maximum(more, 0.0))
 
     def presses(self, trajectory: Trajectory) -> bool:
@@ -272,7 +295,7 @@ class Clearance(Block):
         if self.cover is None or self.cover.static is None or self.spare is not None or self._landings():
             return False
         positions, rotations = self._poses(trajectory)
-        bound = self._spheres(positions, rotations).min(axis=1) < self.required + SLACK
+        bound = self._spheres(self.cover.static, positions, rotations).min(axis=1) < self.required + SLACK
         surface = self._surface(positions[bound], rotations[bound]).min(axis=1)
         return bool((surface > self.required + ROOMY).any())
 
@@ -287,7 +310,7 @@ class Clearance(Block):
         at_marks = {KNOTS: _knots(guess.layout, guess.layout.mark_knots[given])}
         for places, room in ((None, ROOMY), (at_marks, FINEST)):
             positions, rotations = self._poses(guess, places)
-            tight = self._spheres(positions, rotations).min(axis=1) < self.required - room
+            tight = self._spheres(self.cover.static, positions, rotations).min(axis=1) < self.required - room
             if tight.any() and (self._surface(positions[tight], rotations[tight]) > self.required - FINEST).all():
                 return True
         return False
@@ -297,23 +320,19 @@ class Clearance(Block):
     ) -> tuple[Array, Array]:
         """Positions (places, 3) m and rotations (places, 3, 3) of the vehicle; ``places``: as from `_places`, which is
         the default."""
-        transcription, found = trajectory.transcription, [np.zeros((0, 12))]
+        found = [np.zeros((0, 12))]
         for site, y in (places or _places(trajectory.layout, self.request.marks)).items():
             if y.shape[1]:
-                v = transcription.symbols(*site.variables)
-                view = site.view(transcription, v)
-                pose = ca.Function(
-                    "pose", [ca.vertcat(*v.values())], [ca.vertcat(view.position, ca.vec(view.rotation))]
-                )
+                pose = _pose_at(trajectory.transcription, site)
                 found.append(np.asarray(pose.map(y.shape[1])(trajectory.x[y])).T)
         positions, columns = np.split(np.vstack(found), [3], axis=1)
         return positions, columns.reshape(-1, 3, 3).transpose(0, 2, 1)
 
-    def _spheres(self, positions: Array, rotations: Array) -> Array:
-        """Distance of every sphere from everything at rest, (places, k) m."""
-        assert self.cover is not None and self.cover.static is not None
+    def _spheres(self, field: DistanceField, positions: Array, rotations: Array) -> Array:
+        """Distance (places, k) m of every sphere, by a ``field`` in whose frame the vehicle's poses are given."""
+        assert self.cover is not None
         centres = positions[:, None] + self.cover.centres @ rotations.transpose(0, 2, 1)
-        away = self.cover.static.value(centres.reshape(-1, 3))
+        away = field.beyond(centres.reshape(-1, 3))
         return np.asarray(away.reshape(centres.shape[:2]) - self.cover.radii)
 
     def _surface(self, positions: Array, rotations: Array) -> Array:
@@ -327,7 +346,8 @@ class Clearance(Block):
     def prolongate(self, coarse: Trajectory, fine: Trajectory) -> Clearance:
         if self.cover is None or self.cover.static is None or self.costs:
             return replace(self, near=None)
-        finer = replace(self, near=self.distances(fine) < self.required + SIGHT)
+        moves = np.array([[hazard.moves] for hazard in self.cover.hazards()])
+        finer = replace(self, near=moves | (self.distances(fine) < self.required + SIGHT))
         return finer if self.spare is None else finer.of_surface(fine)
 
     def violated(self, solved: Trajectory) -> Clearance:
@@ -354,8 +374,21 @@ class Clearance(Block):
         return tighter if self.spare is None else tighter.of_surface(trajectory)
 
     def resume(self, earlier: Clearance, solved: Trajectory) -> Clearance:
+        """While an obstacle is dragged, the active set is kept as long as it contains all that is near: one built
+        problem then serves many places."""
         spare = earlier.spare if self.cover is earlier.cover else None
-        return replace(self, required=earlier.required, near=earlier.near, spare=spare)
+        block = replace(self, required=earlier.required, spare=spare)
+        if self.cover is None or self.costs:
+            return block
+        dragged, near = self.cover.dragged, earlier.near
+        same = earlier.cover is not None and earlier.cover.dragged == dragged
+        if near is not None and not (same and len(near) == len(list(self.cover.hazards()))):
+            near = None
+        if dragged:
+            far = self.distances(solved) - block.required
+            if near is None or not (near | (far > DRAGGING / 2)).all():
+                near = far < DRAGGING
+        return replace(block, near=near)
 
 
 def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> SphereCover | None:
@@ -410,6 +443,14 @@ def moved_cover(cover: SphereCover, world: Any) -> SphereCover | None:
 def _around(request: Request) -> float:
     """How far from an obstacle its own field reaches, m."""
     return request.clearance + float(sphere_cover(request.vehicle)[1].max()) + AROUND
+
+
+@lru_cache(maxsize=16)
+def _pose_at(transcription: Transcription, site: Site) -> ca.Function:
+    """The variables of a site -> position (3,) m and columns of the rotation (9,) of the vehicle."""
+    v = transcription.symbols(*site.variables)
+    view = site.view(transcription, v)
+    return ca.Function("pose", [ca.vertcat(*v.values())], [ca.vertcat(view.position, ca.vec(view.rotation))])
 
 
 def _touching(i: int) -> str:

@@ -53,6 +53,8 @@ class Solution:
     multipliers: Multipliers | None = None
     out_of_time: bool = False
     """Whether its deadline stopped it."""
+    unfinished: bool = False
+    """Whether its `Patience` stopped it at a motion that counts as solved."""
 
 
 Start = Literal["guess", "again", "motion", "multipliers", "draft"]
@@ -98,14 +100,21 @@ _ENDS: dict[End, dict[str, Any]] = {
 @dataclass(frozen=True)
 class Patience:
     """How long a solve is given: at ``most`` so many iterations, and after half of them no constraint may be missed by
-    more than ``halfway``, in the problem's scaled units."""
+    more than ``halfway``, in the problem's scaled units.
+
+    ``unfinished``: the largest such miss with which a motion counts as solved after these iterations. If it is not
+    zero, the solve goes on until then.
+    """
 
     most: float = math.inf
     halfway: float = math.inf
+    unfinished: float = 0.0
 
     def ends(self, count: int, violation: Callable[[], float]) -> bool:
         """Whether it ends with iteration ``count``, at which constraints are missed by ``violation``."""
-        return count > self.most or (count == self.most // 2 and violation() > self.halfway)
+        if count > self.most:
+            return self.unfinished == 0 or violation() <= self.unfinished
+        return count == self.most // 2 and violation() > self.halfway
 
 
 ENDLESS = Patience()
@@ -144,8 +153,8 @@ def ipopt_options(
             "mumps_pivot_order": 0,
             "print_level": 0,
             "sb": "yes",
-            **_BARRIERS[start],
             **_ENDS[end],
+            **_BARRIERS[start],
             "obj_scaling_factor": 1 / magnitude,
         }
     }
@@ -279,16 +288,19 @@ class Solver:
         violation = float(violations.max(initial=0.0))
         if self.end != "optimal" and status == MAXIMUM and violation <= MET:
             status = ACCEPTABLE
+        solved = bool(stats["success"]) or status == ACCEPTABLE
+        unfinished = not solved and self._callback.tried and violation <= patience.unfinished
         return Solution(
             x=x,
             cost=cost,
             violation=violation,
-            success=bool(stats["success"]) or status == ACCEPTABLE,
+            success=solved or unfinished,
             message=_plainly(status),
             iterations=int(stats.get("iter_count", 0)),
             violations=violations,
             multipliers=Multipliers(np.asarray(answer["lam_x"]).ravel(), np.asarray(answer["lam_g"]).ravel(), cost),
             out_of_time=self._callback.out_of_time,
+            unfinished=unfinished,
         )
 
 
@@ -319,7 +331,7 @@ class _Callback(ca.Callback):
         """Reset the counter; stop when another iteration as long as the last would end after ``deadline``, or when
         ``patience`` ends."""
         self.patience, self.count, self.deadline = patience, 0, deadline
-        self.before, self.out_of_time = time.monotonic(), False
+        self.before, self.out_of_time, self.tried = time.monotonic(), False, False
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -347,7 +359,7 @@ class _Callback(ca.Callback):
         now = time.monotonic()
         another, self.before = now - self.before, now
         self.out_of_time = now + another > self.deadline
-        tried = solver is not None and self.patience.ends(
+        self.tried = solver is not None and self.patience.ends(
             self.count, lambda: float(solver.violations(np.asarray(arguments[2]).ravel()).max(initial=0.0))
         )
-        return [int(interrupts.interrupted() or self.out_of_time or tried)]
+        return [int(interrupts.interrupted() or self.out_of_time or self.tried)]

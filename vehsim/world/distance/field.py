@@ -103,6 +103,13 @@ class DistanceField:
         outside[:, 2] = np.minimum(outside[:, 2], 0)
         return np.asarray(spline - (np.sqrt(np.sum(outside**2, axis=1) + BLEND**2) - BLEND))
 
+    def beyond(self, points: ArrayLike) -> Array:
+        """As `value`, but the distance from the box counts too if the field is ``open``: a lower bound that increases
+        with it."""
+        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        found = self.value(points)
+        return np.hypot(found, _length(points - np.clip(points, self.lower, self.upper))) if self.open else found
+
     def models(self, count: int, order: int = 2) -> Any:
         """A casadi ``Function``, points (3, count) -> value, gradient, Hessian (xx, yy, zz, xy, xz, yz) (10, count).
 

@@ -25,7 +25,7 @@ from vehsim.world.ground.levels import on_level
 from vehsim.world.ground.springs import deflections, lean_of
 from vehsim.world.ground.trailers import tilted
 from vehsim.world.ground.tyres import spring_loads
-from vehsim.world.ground.wheels import Wheel, touch, wheels_of
+from vehsim.world.ground.wheels import TOUCHING, Wheel, touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ SAMPLES = 8
 SETTLING = 5
 """Iterations of the body's rest pose, each with one iteration of its contacts: within 0.02 mm. The first three need
 only coarse wheels."""
+SEEN = 1e-3
+"""Change at which these iterations and those of contacts end where the wheels are ``coarse``, m and rad."""
 ALONG = 50
 """Places along a vehicle's way that choose its level of ground."""
 STEADY = 0.05
@@ -76,7 +78,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
         return clip
     clip = _dense(clip, samples)
     yaw = tilt_of(clip.orientations)[0]
-    rest, last = _rest(terrain, own, clip.positions[:, :2], yaw)
+    rest, last = _rest(terrain, own, clip.positions[:, :2], yaw, SEEN if coarse else 0.0)
     for k in np.flatnonzero(np.abs(last).max(axis=1) > STEADY)[:1]:
         x, y = clip.positions[k, :2]
         where = f"cannot stand on the ground at ({x:.2f}, {y:.2f}) m, frame {clip.frames[k]:.0f}"
@@ -94,7 +96,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     there = np.column_stack([clip.positions[:, :2], z]), yaw_tilt(yaw, pitch, roll)
     channels = {**clip.channels, "heave": deflection[:, 0], "pitch": pitch, "roll": roll}
     channels |= tilted(rig, terrain, channels, clip.times, *there)
-    channels |= _wheel_channels(rig, terrain, wheels, channels, *there)
+    channels |= _wheel_channels(rig, terrain, wheels, channels, *there, SEEN if coarse else TOUCHING)
     _warn_strain(clip, needed, {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel})
     placed = replace(clip, positions=there[0], orientations=there[1], channels=channels)
     return replace(placed, channels={**channels, **spring_loads(placed, wheels)})
@@ -154,9 +156,11 @@ def _dense(clip: Clip, samples: int) -> Clip:
     return clip.at(times if clip.times[-1] - times[-1] < 1e-9 else np.append(times, clip.times[-1]))
 
 
-def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) -> tuple[Array, Array]:
+def _rest(
+    terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array, tolerance: float = 0.0
+) -> tuple[Array, Array]:
     """Height, pitch and roll (n, 3) at which the body rests on equal springs, and their change in the last
-    iteration."""
+    iteration, which is the first with changes below the ``tolerance``."""
     centres = np.array([wheel.centre for wheel in wheels])
     # derivatives of a wheel's travel with respect to height, pitch and roll
     fit = np.linalg.pinv(np.column_stack([np.ones(len(wheels)), -centres[:, 0], centres[:, 1]]), rcond=1e-6)
@@ -170,6 +174,8 @@ def _rest(terrain: Terrain, wheels: tuple[Wheel, ...], xy: Array, yaw: Array) ->
         height, *slopes = (travel @ fit.T).T  # relative to the body as it stands now
         change = np.column_stack([height * np.cos(pose[:, 1]) * np.cos(pose[:, 2]), *np.arctan(slopes)])
         pose = pose + change
+        if np.abs(change).max(initial=0.0) < tolerance:
+            break
     return pose, change
 
 
@@ -217,15 +223,22 @@ def _warn_strain(clip: Clip, needed: tuple[Array, Array], travels: dict[str, Arr
 
 
 def _wheel_channels(
-    rig: Rig, terrain: Terrain, wheels: tuple[Wheel, ...], channels: Any, positions: Array, orientations: Array
+    rig: Rig,
+    terrain: Terrain,
+    wheels: tuple[Wheel, ...],
+    channels: Any,
+    positions: Array,
+    orientations: Array,
+    tolerance: float,
 ) -> dict[str, Array]:
-    """Travel of every wheel that has a channel for it, and its rotation, by the true path of its hub."""
+    """Travel of every wheel that has a channel for it, to a ``tolerance`` in m, and its rotation, by the true path of
+    its hub."""
     made = {}
     for wheel in wheels:
         there, turned = part_poses(rig, wheel.carrier, channels, positions, orientations)
         travel = np.zeros(len(there))
         if wheel.travel is not None:
-            travel = made[wheel.travel] = touch(terrain, wheel, there, turned)
+            travel = made[wheel.travel] = touch(terrain, wheel, there, turned, tolerance=tolerance)
         if wheel.roll is not None and len(there) > 1:
             R_wb = matrices(turned)
             hub = there + R_wb @ wheel.centre + travel[:, None] * R_wb[:, :, 2]

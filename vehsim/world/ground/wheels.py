@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -50,12 +50,12 @@ class Wheel:
     carrier: str = ""
     angles: int = ANGLES
 
-    @property
+    @cached_property
     def coarse(self) -> Wheel:
         """The wheel with a quarter of its points: within 1.3 mm for a car's tyre."""
         return replace(self, angles=ANGLES // 4 + 1)
 
-    @property
+    @cached_property
     def rim(self) -> Array:
         """Points (m, 3) of the tyre's lower half, about the root, straight ahead."""
         (side, radius), angles = self.rings.T, np.linspace(-ARC / 2, ARC / 2, self.angles)
@@ -134,29 +134,39 @@ def _profile(points: Array) -> Array:
     return np.column_stack([sides, np.interp(sides, *outline.T)])
 
 
-def touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array, rounds: int = ROUNDS) -> Array:
+def touch(
+    terrain: Terrain,
+    wheel: Wheel,
+    positions: Array,
+    orientations: Array,
+    rounds: int = ROUNDS,
+    tolerance: float = TOUCHING,
+) -> Array:
     """Travel (n,) m along the body's vertical, relative to the wheel's rest, at which it just touches the terrain.
 
-    If the travel is small, one of the ``rounds`` suffices.
+    If the travel is small, one of the ``rounds`` suffices. It ends with a change of at most ``tolerance`` m.
     """
     level = float(terrain.heights.flat[0])
     if terrain.surface is None and np.all(terrain.heights == level):
         vertical = matrices(orientations)[:, 2]
         return np.asarray(((level - positions[:, 2:] - vertical @ wheel.rim.T) / vertical[:, 2:]).max(axis=1))
     blocks = _blocks(len(positions))
-    found = [_touch(terrain, wheel, positions[k], orientations[k], rounds) for k in blocks]
+    found = [_touch(terrain, wheel, positions[k], orientations[k], rounds, tolerance) for k in blocks]
     return np.concatenate(found or [np.zeros(0)])
 
 
-def _touch(terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array, rounds: int) -> Array:
+def _touch(
+    terrain: Terrain, wheel: Wheel, positions: Array, orientations: Array, rounds: int, tolerance: float
+) -> Array:
     R_wr = matrices(orientations)
-    points = positions[:, None] + wheel.rim @ R_wr.swapaxes(1, 2)
-    up, travel = R_wr[:, None, :, 2], np.zeros(len(positions))
+    # one product for all samples takes a third of the time of one for each
+    points = positions[:, :, None] + (R_wr.reshape(-1, 3) @ wheel.rim.T).reshape(*R_wr.shape[:2], -1)
+    up, travel = R_wr[:, :, 2, None], np.zeros(len(positions))
     for _ in range(rounds):
-        moved = points[..., :2] + travel[:, None, None] * up[..., :2]
-        ground = terrain.height(moved.reshape(-1, 2)).reshape(moved.shape[:2])
-        before, travel = travel, ((ground - points[..., 2]) / up[..., 2]).max(axis=1)
-        if np.abs(travel - before).max() < TOUCHING:
+        moved = points[:, :2] + travel[:, None, None] * up[:, :2]
+        ground = terrain.height(moved.swapaxes(1, 2).reshape(-1, 2)).reshape(len(moved), -1)
+        before, travel = travel, ((ground - points[:, 2]) / up[:, 2]).max(axis=1)
+        if np.abs(travel - before).max() < tolerance:
             break
     return travel
 
