@@ -8,6 +8,7 @@ from vehsim import Mark
 from vehsim.lie.quaternions import matrices
 from vehsim.planning import retouch as retouching
 from vehsim.planning.retouch import KEPT, _clear, retouch
+from vehsim.world.ground.placing import place_on_terrain
 from vehsim.world.obstacles.obstacles import box
 
 CAR, HELI = vehsim.load_vehicle("car"), vehsim.load_vehicle("helicopter")
@@ -216,3 +217,18 @@ def test_knots_are_those_between_which_controls_are_linear(slide, drive):
     knots = retouching._knots(slide)
     assert knots == pytest.approx(np.linspace(1001, 1097, 125), abs=1e-6)
     assert retouching._knots(drive) is None  # every sample of a simulated motion is one
+
+
+def test_bodies_and_trailers_stay_on_their_springs_around_an_edit():
+    """Springs remember for a second: a lorry leans on after the edit, and its trailer too, without a jump."""
+    lorry, world = vehsim.load_vehicle("truck"), vehsim.World(terrain="flat")
+    start = vehsim.State(position=(0, 0, 0), twist=(0.0, 6.0, 0.0))
+    clip = vehsim.simulate(lorry, world, lambda t, state: (300.0, 0.02 * np.sin(2 * t)), start, 6.0, step=1 / 96)
+    clip = place_on_terrain(clip, world)
+    made = retouch(clip, world, *bumped(clip, 1045, 1085, (0.0, 0.2, 0.0))).clip
+    far = made.times < 1.0 / 24
+    for name in ("roll", "pitch", "heave", "hitch_roll_1", "travel_t1_l", "travel_fl"):
+        bends = np.abs(np.diff(made.channels[name], 2))
+        assert bends.max() < 5e-4, name
+        assert made.channels[name][far] == pytest.approx(clip.channels[name][far], abs=1e-9)
+        assert made.channels[name][-1] == pytest.approx(clip.channels[name][-1], abs=1e-4)

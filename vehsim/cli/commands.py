@@ -40,6 +40,8 @@ app = typer.Typer(
 screen = Console(stderr=True, highlight=False, soft_wrap=True)
 """Shows progress, warnings and errors on standard error; results go to standard output."""
 
+_shown: set[str] = set()
+"""The warnings that this command has printed."""
 FAILED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "interrupted; no half-written files remain, and export --resume continues from here"
 
@@ -135,7 +137,7 @@ def export(
         raise typer.Exit(code)
     if errors and not tasks:
         raise typer.Exit(code)
-    told = [problem.said for problem in problems]
+    told = [*(problem.said for problem in problems), *_shown]
     hint = _arguments.film_hint(loaded, names, quality is Quality.draft)
     if hint and log is Log.text and not quiet:
         screen.print(hint, markup=False)
@@ -158,8 +160,10 @@ def export(
 
 
 def _without(outcome: Outcome, told: Sequence[str]) -> Outcome:
-    """The outcome without warnings of solving that end in what the check already ``told``, with its line."""
-    return replace(outcome, warnings=tuple(text for text in outcome.warnings if not text.endswith(tuple(told))))
+    """The outcome without warnings of solving that end in what the check already ``told``, or in one another."""
+    texts = outcome.warnings
+    known = *told, *(f": {text}" for text in texts)
+    return replace(outcome, warnings=tuple(text for text in texts if not text.endswith(known)))
 
 
 @app.command(cls=choices.WithChoices)
@@ -657,13 +661,12 @@ def run(arguments: Sequence[str]) -> int:
 
 def _warning_once() -> Callable[..., str]:
     """A format of warnings without their place in the source; empty for one that was formatted before."""
-    shown: set[str] = set()
+    _shown.clear()
 
     def formatted(message: object, *rest: object, **more: object) -> str:
-        line = f"warning: {message}\n"
-        repeated = line in shown
-        shown.add(line)
-        return "" if repeated else line
+        repeated = str(message) in _shown
+        _shown.add(str(message))
+        return "" if repeated else f"warning: {message}\n"
 
     return formatted
 

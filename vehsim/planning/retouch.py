@@ -8,6 +8,7 @@ vehicle follows the edit as closely as its dynamics and limits permit; outside, 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -46,6 +47,7 @@ from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import STUNT
 from vehsim.vehicles.definition.joint_channels import joint_channels
 from vehsim.vehicles.definition.surfaces import SURFACES
+from vehsim.world.ground.placing import place_on_terrain
 
 Array = NDArray[np.float64]
 
@@ -65,6 +67,8 @@ FINEST = 1 / 40
 """Smallest duration of the segments of a solved motion on whose knots an edit is solved, s."""
 BEND = 1e-6
 """By how much, relative to its largest slope, a control's slope changes at a knot at least."""
+SETTLES = 7.0
+"""Time constants after which springs have settled to a thousandth."""
 FEWEST = 6
 """Smallest number of segments of a window."""
 ITERATIONS = 60
@@ -295,6 +299,7 @@ def _solved_again(
                 subject=clip.vehicle.name,
             )
         made = _replaced(made, exported(iterate.clip, request), window)
+        made = _on_springs(made, request.world, window)
     return made
 
 
@@ -548,6 +553,32 @@ def _inside(transcription: Transcription, axes: int) -> Element:
 
 
 # ---------------------------------------------------------------- clips
+
+
+def _on_springs(clip: Clip, world: Any, window: tuple[float, float]) -> Clip:
+    """The clip with its body and trailers on their springs through a window of other motion: they enter it as they
+    moved before, and settle after it."""
+    rig = clip.vehicle.rig
+    if rig is None or "heave" not in clip.channels:
+        return clip
+    settles = SETTLES / (2 * np.pi * rig.suspension.frequency * rig.suspension.damping)
+    first, last = _times(clip, np.array(window)) + np.array([-settles, settles])
+    within = np.flatnonzero((clip.times >= first - 1e-9) & (clip.times <= last + 1e-9))
+    there = {name: values[within] for name, values in clip.channels.items()}
+    heights = clip.positions[within] - there.pop("heave")[:, None] * [0.0, 0.0, 1.0]
+    piece = replace(clip.at(clip.times[within]), positions=heights, channels=there)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of strain, which was said where the motion was solved
+        placed = place_on_terrain(piece, world)
+    if len(placed) != len(within):  # it was sampled more finely
+        placed = placed.at(piece.times)
+    positions, attitudes = clip.positions.copy(), clip.orientations.copy()
+    positions[within], attitudes[within] = placed.positions, placed.orientations
+    rates = {name for name in clip.channels if name in (laws := clip.vehicle.channels) and laws[name].rate is not None}
+    channels = {name: values.copy() for name, values in clip.channels.items()}
+    for name in clip.channels.keys() - rates:  # wheels turn as before
+        channels[name][within] = placed.channels[name]
+    return replace(clip, positions=positions, orientations=continuous(attitudes), channels=channels)
 
 
 def _knots(clip: Clip) -> Array | None:
