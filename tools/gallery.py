@@ -45,8 +45,8 @@ STILLS = {
 """Stage -> the frame and the camera of its still; the film uses the same camera."""
 FRAMES, SIZE, SMALLER, SECONDS = 40, (480, 270), (384, 216), 5.0
 """A sea, where every pixel changes, gets a smaller picture rather than a blurred one."""
-LARGEST = 250_000
-"""Largest size of a picture, bytes."""
+LARGEST_FILM, LARGEST_STILL = 400_000, 250_000
+"""Largest sizes of pictures, bytes."""
 
 
 def film(stage: Path, camera: str, path: Path) -> None:
@@ -59,10 +59,11 @@ def film(stage: Path, camera: str, path: Path) -> None:
     duration = round(1000 * SECONDS / len(pictures))
     for size in (SIZE, SMALLER):
         smaller = [picture.resize(size) for picture in pictures]
-        for quality in (70, 55, 40, 30):
-            options = {"duration": duration, "loop": 0, "quality": quality, "method": 4}
+        for quality in (75, 65, 55, 45):
+            # every frame whole: differences leave blocks of earlier frames, and save nothing where the camera moves
+            options = {"duration": duration, "loop": 0, "quality": quality, "method": 4, "kmax": 1}
             smaller[0].save(path, save_all=True, append_images=smaller[1:], **options)
-            if path.stat().st_size <= LARGEST:
+            if path.stat().st_size <= LARGEST_FILM:
                 return
 
 
@@ -78,7 +79,7 @@ def compress(picture: Path, path: Path) -> None:
     """Write a picture as JPEG, with the best quality that fits."""
     for quality in (90, 82, 74, 66, 55):
         Image.open(picture).convert("RGB").save(path, quality=quality, optimize=True, progressive=True)
-        if path.stat().st_size <= LARGEST:
+        if path.stat().st_size <= LARGEST_STILL:
             return
 
 
