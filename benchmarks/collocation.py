@@ -67,7 +67,13 @@ CPU times and executed errors are relative to Hermite-Simpson, on 2026-11-24: on
   helicopter 1.1 to 1.5 times, errors 0.9 to 2.4. The controls' torques are linear in body axes, where Simpson's rule
   integrates them exactly. So exact momentum costs accuracy here.
 - Without the velocity at the middle as a variable: 5 to 20 % less CPU time for the helicopter. But holds, clearances at
-  the middle and finer levels use it.
+  the middle and finer levels use it. Again on 2026-11-27: car and robot 5 to 10 % less, the helicopter the same per
+  iteration, since a Hessian takes 16,488 instructions instead of 12,013, which outweighs the smaller linear systems.
+- Rotations by the exponential, until 2026-11-27: 12,013 instructions per Hessian of the helicopter; with the Cayley map
+  and a corrected vector 10,734, with the logarithm of the ends 10,334, and with the implicit Cayley relation between
+  both ends, which is used now, 10,032 (Hermite-Simpson 12,470). 56 flights (14 random goals, both costs, N = 16 and
+  32, load 19): 908 iterations in all (exponential 905, Hermite-Simpson 880), 8.1 ms each (8.5, 7.8); CPU time over
+  Hermite-Simpson, median, 1.07 (1.09). What remains is the linear systems' size.
 - Order 6, seven substeps of order 2 (Yoshida), as the second step of refinement until 2026-11-24. With twice as many
   segments of order 4 in its place: canyon flight 10.8 CPU s (before 13.0), landing 23.3 (21.1), river bend 15.9 (16.6),
   snakeboard to a mark 6.0 (9.2), with costs lower by 0.2, 3, 6 and 7 %.

@@ -6,8 +6,9 @@ import pytest
 
 import vehsim
 from vehsim.integrators.continuous import execute
+from vehsim.lie import SO3
 from vehsim.planning.problem.elements import NonlinearProgram
-from vehsim.planning.problem.simpson import simpson
+from vehsim.planning.problem.simpson import _unturned, simpson
 from vehsim.planning.problem.transcription import transcribe
 
 WIND = np.array([1.0, -2.0, 0.5])
@@ -99,3 +100,18 @@ def test_the_reversed_segment_is_the_same_segment(name):
 def test_quaternions_keep_unit_norm_at_a_long_step():
     path = states(transcribe(loaded("helicopter")), 2)
     np.testing.assert_allclose(np.linalg.norm(path[:, :4], axis=1), 1.0, atol=1e-14)
+
+
+def test_rotations_are_exponentials_to_seventh_order():
+    """They are found from a polynomial; its solution is a unit quaternion."""
+    x, q, q1 = ca.SX.sym("x", 3), ca.SX.sym("q", 4), ca.SX.sym("q1", 4)
+    missed = _unturned(q, q1, x)
+    jacobian, rest = ca.jacobian(missed, q1), ca.substitute(missed, q1, ca.SX.zeros(4))  # it is linear in q1
+    found = ca.Function("found", [q, x], [-ca.solve(jacobian, rest)])
+    start, turn = np.array([0.1, -0.7, 0.5, 0.5]), np.array([0.6, -1.0, 0.8])
+    off = []
+    for share in (1.0, 0.5):
+        ends = np.ravel(found(start, share * turn))
+        off.append(np.abs(ends - SO3.compose(start, SO3.exp(share * turn))).max())
+        assert np.linalg.norm(ends) == pytest.approx(1.0, abs=1e-14)
+    assert np.log2(off[0] / off[1]) == pytest.approx(7.0, abs=0.3) and off[0] < 1e-4

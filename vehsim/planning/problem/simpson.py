@@ -47,13 +47,14 @@ def simpson(transcription: Transcription) -> Element:
     next_g, next_r = (
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
     )
+    missed = next_g - g1
     if t.vehicle.group.size > t.vehicle.group.dim:
-        next_g[0:4] = SO3.compose(g[0:4], SO3.exp(_rotation(xi[0:3], xim[0:3], xi1[0:3], h)))
+        missed[0:4] = _unturned(g[0:4], g1[0:4], _rotation(xi[0:3], xim[0:3], xi1[0:3], h))
     inner = pim - (pi + pi1) / 2 - h / 8 * (push - push1)
     outer = pi1 - pi - h / 6 * (push + 4 * pushm + push1)
     # as in DMOC, one row for either end: then multipliers of one order fit the other
     left, right = inner + outer / 2, inner - outer / 2
-    residuals = (left / t.momentum_scale, right / t.momentum_scale, next_g - g1, next_r - r1)
+    residuals = (left / t.momentum_scale, right / t.momentum_scale, missed, next_r - r1)
     space = None
     if weight is not None:
         places = ca.horzcat(*(weight.place(at) for at in (g, g1, gm)))
@@ -65,6 +66,17 @@ def simpson(transcription: Transcription) -> Element:
 def _rotation(first: Expr, middle: Expr, last: Expr, h: Expr) -> Expr:
     """The rotation vector (3,) of a segment with these body rates (3,) rad/s, to fourth order (Magnus)."""
     return h / 6 * (first + 4 * middle + last) + h**2 / 12 * ca.cross(middle, last - first)
+
+
+def _unturned(q: Expr, q1: Expr, x: Expr) -> Expr:
+    """By how much ``q exp(x)`` misses ``q1``, (4,): zero where ``q1 (1 - y/4) = q (1 + y/4)`` with
+    ``y = 4 tan(|x|/4) x/|x|``, to seventh order.
+
+    A polynomial of both ends: its second derivatives take a fifth fewer operations than those of the exponential.
+    """
+    squared = ca.dot(x, x) / 16
+    y = x * (1 + squared / 3 + 2 * squared**2 / 15)
+    return q - q1 + SO3.compose((q + q1) / 4, ca.vertcat(0, y))
 
 
 def _laws(t: Transcription) -> ca.Function:
