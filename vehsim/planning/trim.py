@@ -58,9 +58,13 @@ def steady(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, ...
     """
     if not vehicle.controls:
         return Trim(np.zeros(0), 0.0, 0.0, np.zeros(0))
-    law, solver, bounds = _balancer(vehicle)
-    scale, air = np.array([control.scale for control in vehicle.controls]), (velocity, wind)
-    size = max(1.0, float(np.abs(np.asarray(law(np.zeros(len(scale)), np.zeros(2), *air)[0])).max(initial=0.0)))
+    law, scale = _standing(vehicle), np.array([control.scale for control in vehicle.controls])
+    zero, air = np.zeros(len(scale)), (velocity, wind)
+    force = np.ravel(np.asarray(law(zero, np.zeros(2), *air)[0]))
+    size = max(1.0, float(np.abs(force).max(initial=0.0)))
+    if not force.any() and all(control.lower <= 0 <= control.upper for control in vehicle.controls):
+        return Trim(zero, 0.0, 0.0, force)  # nothing to solve, such as for a car at rest
+    solver, bounds = _balancer(vehicle)
     found = np.asarray(solver(p=np.concatenate([*air, [size]]), **bounds)["x"]).ravel()
     controls, lean = found[: len(scale)] * scale, found[len(scale) :]
     roll, pitch = map(float, lean if len(lean) else np.zeros(2))
@@ -71,8 +75,8 @@ def steady(vehicle: Vehicle, velocity: tuple[float, ...], wind: tuple[float, ...
 
 
 @lru_cache(maxsize=16)
-def _balancer(vehicle: Vehicle) -> tuple[ca.Function, ca.Function, dict[str, Array]]:
-    """The force of `_standing`; a solver for the controls over their scale and the lean that make it vanish, with the
+def _balancer(vehicle: Vehicle) -> tuple[ca.Function, dict[str, Array]]:
+    """A solver for the controls over their scale and the lean that make the force of `_standing` vanish, with the
     parameters velocity (3,), wind (3,) and the size of the force; and the solver's bounds and start."""
     scale = np.array([control.scale for control in vehicle.controls])
     lower = np.array([control.lower for control in vehicle.controls]) / scale
@@ -87,7 +91,7 @@ def _balancer(vehicle: Vehicle) -> tuple[ca.Function, ca.Function, dict[str, Arr
     middle = (np.nan_to_num(lower) + np.nan_to_num(upper)) / 2
     start = np.where(bounded, middle, np.clip(0.0, lower + 1e-6, upper - 1e-6))
     bounds = {"lbx": np.append(lower, level - MOST_LEAN), "ubx": np.append(upper, level + MOST_LEAN)}
-    return law, solver, {"x0": np.append(start, level), **bounds}
+    return solver, {"x0": np.append(start, level), **bounds}
 
 
 def upright(vehicle: Vehicle, headings: ArrayLike, wind: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
@@ -154,6 +158,7 @@ def flies(vehicle: Vehicle) -> bool:
     return bool(vehicle.group.dim == 6 and vehicle.hull is None and getattr(vehicle, "gravity", 0.0))
 
 
+@lru_cache(maxsize=16)
 def _standing(vehicle: Vehicle) -> ca.Function:
     """A function of the controls (c,), roll and pitch (2,) rad, world velocity (3,) and wind (3,) m/s: the force on the
     vehicle, and its derivative by the controls."""
