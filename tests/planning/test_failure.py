@@ -606,7 +606,7 @@ def test_the_worst_violation_of_a_mark_has_its_unit():
     """It was "mark[0].heading, off by 1" where the vehicle points to the side."""
     car, marks = vehsim.load_vehicle("car"), [Mark(1, position=(0, 0, 0), heading=0), Mark(49, position=(9, 0, 0))]
     rows = MarkConstraint(marks, 0)
-    labels = ["mark[0].position"] * 2 + ["mark[0].heading"] * 2 + ["mark[0].speed"]
+    labels = ["position"] * 2 + ["heading"] * 2 + ["speed"]
     use, off = SimpleNamespace(element=SimpleNamespace(labels=labels)), np.array([3.0, 4.0, 1.0, 0.0, 2.0])
     assert [rows.amount(use, k, off) for k in (0, 2, 4)] == ["5 m", "90 deg", "2 m/s"]
     with pytest.warns(UserWarning, match=r"worst violation: .*, off by [\d.e+-]+( m| deg| m/s)?;"):

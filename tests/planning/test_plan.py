@@ -123,6 +123,34 @@ def test_a_refined_plan_is_whole_segments_of_order_four(flight):
     assert flight.executed.final < 0.02
 
 
+def test_an_easy_plan_makes_nothing_twice(monkeypatch):
+    """Marks of one shape share their equations, the clip is built once, and a motion that is found needs no proof that
+    there is one."""
+    from vehsim.planning import planner, trajectory
+    from vehsim.planning.constraints import mark_constraints
+
+    counts = dict.fromkeys(("build_clip", "mark_element", "refusals"), 0)
+
+    def count(module, name):
+        work = getattr(module, name)
+
+        def counted(*given, **options):
+            counts[name] += 1
+            return work(*given, **options)
+
+        monkeypatch.setattr(module, name, counted)
+
+    count(trajectory, "build_clip")
+    count(mark_constraints, "mark_element")
+    count(planner, "refusals")
+    marks = [
+        Mark(1, position=REST, heading=0, velocity=REST),
+        Mark(145, position=(25, 6, 0), heading=20, velocity=REST),
+    ]
+    assert vehsim.plan(vehsim.load_vehicle("car_lie"), None, marks, segments=32, character="stunt").success
+    assert counts == {"build_clip": 1, "mark_element": 1, "refusals": 0}
+
+
 @pytest.mark.parametrize("name, heading, order", [("helicopter_lie", 20, [4]), ("boat", 150, [4, 2, 4])])
 def test_easy_problems_are_solved_at_once(name, heading, order, monkeypatch):
     """With the same motion as on few segments first; what is not easy goes on there, as if nothing had been tried."""
@@ -413,3 +441,8 @@ def test_wrong_frame_rates_are_named(fps):
 def test_a_name_is_not_a_vehicle():
     with pytest.raises(InputError, match="load_vehicle"):
         vehsim.plan("helicopter", None, [Mark(1, position=REST), Mark(9, position=(1, 0, 0))])
+
+
+def test_a_vehicle_that_rests_without_controls_needs_no_solver(monkeypatch):
+    monkeypatch.setattr("vehsim.planning.trim._balancer", lambda vehicle: pytest.fail("solved"))
+    assert not trim(vehsim.load_vehicle("truck"), REST).any()

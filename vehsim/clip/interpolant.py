@@ -57,7 +57,7 @@ def interpolate(clip: S, times: Array) -> S:
     joints, rates = _hermite(s, h, clip.joints[k], clip.joints[k + 1], clip.joint_rates[k], clip.joint_rates[k + 1])
     twists = _twists(clip.vehicle.group, orientations, angular, linear)
     if tilt is not None:
-        z, pitch, roll = (monotone(clip.times, values, times) for values in (clip.positions[:, 2], *tilt))
+        z, pitch, roll = monotone(clip.times, np.column_stack([clip.positions[:, 2], *tilt]), times).T
         positions[:, 2] = z
         orientations = product(orientations, yaw_tilt(np.zeros(len(times)), pitch, roll))
     return replace(
@@ -83,13 +83,12 @@ def _channels(clip: Samples, times: Array, joints: Array) -> dict[str, Array]:
     """
     from vehsim.vehicles.definition.joint_channels import joint_channels
 
-    at_knots, between = (
-        joint_channels(clip.vehicle, values) if clip.channels else {} for values in (clip.joints, joints)
-    )
-    return {
-        name: monotone(clip.times, values - at_knots.get(name, 0.0), times) + between.get(name, 0.0)
-        for name, values in clip.channels.items()
-    }
+    if not clip.channels:
+        return {}
+    at_knots, between = (joint_channels(clip.vehicle, values) for values in (clip.joints, joints))
+    rest = [values - at_knots.get(name, 0.0) for name, values in clip.channels.items()]
+    columns = monotone(clip.times, np.column_stack(rest), times).T
+    return {name: column + between.get(name, 0.0) for name, column in zip(clip.channels, columns, strict=True)}
 
 
 def spatial(clip: Samples) -> tuple[Array, Array]:

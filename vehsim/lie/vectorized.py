@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
@@ -28,23 +28,39 @@ def vectorized(method: Callable[..., Any]) -> Callable[..., Any]:
         arrays = [np.asarray(a, float) for a in arguments]
         lead = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
         function = _function(self, method, tuple(a.shape[-1] for a in arrays))
-        columns = [np.broadcast_to(a, (*lead, a.shape[-1])).reshape(-1, a.shape[-1]).T for a in arrays]
         count = int(np.prod(lead, dtype=int))
+        columns = [np.broadcast_to(a, (*lead, a.shape[-1])).reshape(count, a.shape[-1]) for a in arrays]
+        values = for_rows(function, *columns)[0]
         rows, width = function.size_out(0)
-        if count == 0:
-            values = np.zeros((0, rows, width))
-        else:
-            values = stacked(function.map(count)(*columns) if count > 1 else function(*columns), count)
         shape = (rows, width) if width > 1 else (rows,) if rows > 1 else ()
         return values.reshape(*lead, *shape)
 
     return call
 
 
-def stacked(side_by_side: Any, count: int) -> NDArray[np.float64]:
-    """The matrices (m, k) that a mapped function gives side by side, as (count, m, k)."""
-    values = np.asarray(side_by_side)
-    return values.reshape(len(values), count, -1).transpose(1, 0, 2)
+def for_rows(function: ca.Function, *rows: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """The matrices (n, m, k) that a function of dense columns gives for each row (n, .) of its inputs, one array per
+    output.
+
+    The function works on NumPy's memory, which takes a fifth of the time of a call that converts it.
+    """
+    count = len(rows[0])
+    sizes = [function.size_out(i) for i in range(function.n_out())]
+    outputs = [np.empty((count, columns, height)) for height, columns in sizes]  # CasADi stores column by column
+    if count:
+        inputs = [np.ascontiguousarray(a, float) for a in rows]
+        buffer, run = (function.map(count) if count > 1 else function).buffer()
+        point(buffer, inputs, outputs)
+        run()
+    return [values.transpose(0, 2, 1) for values in outputs]
+
+
+def point(buffer: Any, inputs: Sequence[NDArray[np.float64]], outputs: Sequence[NDArray[np.float64]]) -> None:
+    """Let a buffer of CasADi read and write arrays where they are."""
+    for place, arrays in ((buffer.set_arg, inputs), (buffer.set_res, outputs)):
+        for i, array in enumerate(arrays):
+            if array.size:
+                place(i, memoryview(array))  # type: ignore[arg-type]  # CasADi takes any buffer
 
 
 def _function(owner: Any, method: Callable[..., Any], sizes: tuple[int, ...]) -> ca.Function:

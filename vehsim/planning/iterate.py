@@ -139,6 +139,12 @@ class Iterate(Trajectory):
         blocks = tuple(timing if isinstance(block, Timing) else block for block in self.blocks)
         return replace(self, blocks=blocks)
 
+    def certified(self, certificate: Certificate) -> Self:
+        """The same iterate with the certificate of its clip, which stays as it was built."""
+        made = replace(self, certificate=certificate)
+        made.__dict__["clip"] = self.clip  # a cached property
+        return made
+
     def worst(self) -> str:
         """The constraint row with the largest violation and how far it is off, for messages."""
         assert self.solution is not None and self.problem is not None

@@ -446,17 +446,19 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
         late = ""
     except OutOfTime as error:
         paths, cover, late = straight(request), None, f" ({error})"
-    refused = "; ".join(map(str, refusals(request)))
     posed, easy = _posed(request, paths), not once and _is_easy(request, cover)
     iterate = begin(run, posed, transcription, cover, paths, as_clip(request, guess), coarse=not easy)
-    if refused or run.deadline.hopeless:
+    hopeless = run.deadline.hopeless
+    if easy:
+        iterate = _at_once(run, iterate)
+    # a motion disproves every refusal
+    refused = "" if iterate.success else "; ".join(map(str, refusals(request)))
+    if refused or hopeless:
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
     clearance = iterate.block(Clearance)
     if clearance is not None and clearance.squeezes(iterate):
         iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
-    if easy:
-        iterate = _at_once(run, iterate)
     if easy and not iterate.success:  # few segments of order 2 are a shorter way, and often to a better motion
         iterate = begin(run, posed, transcription, cover, paths, as_clip(request, guess))
     patient = math.isinf(request.deadline) and request.max_iterations > QUICK.most

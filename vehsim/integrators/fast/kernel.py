@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from vehsim.integrators.fast import machine
+from vehsim.lie.vectorized import point
 from vehsim.vehicles.definition.base import Array
 
 BLOCKS = (256, 16, 1)
@@ -46,7 +47,7 @@ class Kernel:
         function = self.function if self._built is None else self._built.function()
         self._in, self._out = list(inputs), list(outputs)  # the buffer points into them
         self._buffer, self.run = function.buffer()
-        _point(self._buffer, inputs, outputs)
+        point(self._buffer, inputs, outputs)
         return self
 
     def __call__(self, *columns: Any) -> list[Array]:
@@ -88,7 +89,7 @@ class Kernel:
                 given = [a[rows] if s is None else s for a, s in zip(inputs, same, strict=True)]
                 if carries:
                     given[0] = given[0][:1]
-                _point(buffer, given, [a[rows] for a in outputs])
+                point(buffer, given, [a[rows] for a in outputs])
                 evaluate()
                 first += size
 
@@ -121,14 +122,6 @@ def _dense(function: ca.Function) -> ca.Function:
     made: Any = function(*symbols)
     outputs = made if isinstance(made, tuple | list) else [made]
     return ca.Function(function.name(), symbols, [ca.densify(x) for x in outputs])
-
-
-def _point(buffer: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
-    """Let a buffer of CasADi read and write arrays where they are."""
-    for place, arrays in ((buffer.set_arg, inputs), (buffer.set_res, outputs)):
-        for i, array in enumerate(arrays):
-            if array.size:
-                place(i, memoryview(array))  # type: ignore[arg-type]  # CasADi takes any buffer
 
 
 def _pointers(arrays: Sequence[Array]) -> tuple[Any, Any, Any]:

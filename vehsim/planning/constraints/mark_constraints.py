@@ -52,8 +52,12 @@ class MarkConstraint(Block):
         return self.marks[self.number]
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        known = shape(self.marks[:1]) if self.closes else ()
-        return self.number, shape([self.mark]), self._given, known, self.price
+        return self.number, shape([self.mark]), self._given, self._known, self.price
+
+    @property
+    def _known(self) -> tuple[Any, ...]:
+        """The shape of the mark whose constraints it does not repeat, if any."""
+        return shape(self.marks[:1]) if self.closes else ()
 
     @property
     def _given(self) -> bool:
@@ -63,8 +67,9 @@ class MarkConstraint(Block):
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
         if self._given:
             return
-        # the values of the mark are parameters, so all layouts and plans share the element and its derivatives
-        key = "mark", self.mark.name, self.key(layout, transcription)
+        # the values of the mark are parameters, so all marks of one shape share the element and its derivatives
+        rests = _rests(transcription.vehicle, self.mark)
+        key = "mark", shape([self.mark]), rests, self._known, self.price
         element = transcription.kept(key, lambda: self._element(transcription))
         if element is None:
             return
@@ -73,16 +78,13 @@ class MarkConstraint(Block):
         if self.price:
             y = np.vstack([y, problem.variables(2 * len(element.labels))[:, None]])
         own = {key: size for key, size in element.sizes.items() if key != "wind"}
-        problem.add(element, y, {key: problem.parameter(self._parameter(key), size) for key, size in own.items()})
+        parameters = {key: problem.parameter(self._parameter(key), size) for key, size in own.items()}
+        problem.add(element, y, parameters, names=[self.mark.name])
 
     def _element(self, transcription: Transcription) -> Element | None:
-        """Its constraints, named after the mark; None if it fixes nothing."""
+        """Its constraints; None if it fixes nothing."""
         element = mark_element(transcription, self.mark, self.marks[0] if self.closes else None)
-        if element is None:
-            return None
-        element.name = self.mark.name
-        element.labels = [f"{self.mark.name}.{key}" for key in element.labels]
-        return elastic(element, self.price) if self.price else element
+        return elastic(element, self.price) if self.price and element is not None else element
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         return {self._parameter(key): value for key, value in mark_values(self.mark).items()}
@@ -92,14 +94,13 @@ class MarkConstraint(Block):
 
     def amount(self, use: Use, row: int, violations: Array) -> str:
         labels = np.array(use.element.labels)
-        return _amount(labels[row].rpartition(".")[2], violations[labels == labels[row]])
+        return _amount(labels[row], violations[labels == labels[row]])
 
-    def missed(self, label: str, off: Array) -> str:
-        """The message for rows (n,) of a label that elastic mode misses by ``off``."""
-        name, _, key = label.rpartition(".")
+    def missed(self, key: str, off: Array) -> str:
+        """The message for rows (n,) of what the mark fixes that elastic mode misses by ``off``."""
         if key == "velocity (balance)":
-            return f"{name}: the vehicle cannot be in balance there"
-        return f"{label} is missed by {_amount(key, off)}"
+            return f"{self.mark.name}: the vehicle cannot be in balance there"
+        return f"{self.mark.name}.{key} is missed by {_amount(key, off)}"
 
 
 def _amount(key: str, off: Array) -> str:
@@ -257,6 +258,11 @@ def _attitude(transcription: Transcription, mark: Mark, root: Expr, wanted: dict
     return []
 
 
+def _rests(vehicle: Vehicle, mark: Mark) -> bool:
+    """Whether a vehicle at rest at a mark rests with its body, which may elsewhere still rock on its springs."""
+    return not vehicle.attitude or mark.place == 0 or mark.hold > 0
+
+
 def _motion(
     transcription: Transcription, mark: Mark, view: KnotView, x: Expr, c: Expr, wanted: dict[str, Expr]
 ) -> list[Row]:
@@ -264,10 +270,9 @@ def _motion(
     if mark.at_rest:  # all free velocities vanish; with one rolling direction there is only one
         _, r, pi = transcription.split(x)
         body, vehicle = transcription.vehicle.attitude or (), transcription.vehicle
-        if not body or mark.place == 0 or mark.hold:
+        if _rests(vehicle, mark):
             still = transcription.mechanics.knot_velocity_guess(r, pi, c * transcription.control_scale)
             return _equal(ca.vertcat(still, *(view.joint(name) for name in body)))
-        # the body may still rock on its springs
         wheels = [vehicle.joints[k] for k in vehicle.dynamic if vehicle.joints[k] not in body]
         return _equal(ca.vertcat(view.velocity[0:2], view.omega[2], *(view.rate(name) for name in wheels)))
     if mark.velocity is not None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from vehsim.constants import GRAVITY
 from vehsim.integrators.fast.kernel import Kernel
 from vehsim.lie.quaternions import from_yaw
-from vehsim.lie.vectorized import stacked
+from vehsim.lie.vectorized import for_rows
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.vehicles.definition.mechanics import free_size, free_velocity, project
 
@@ -222,7 +222,7 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     grid = np.zeros((len(_grid(bounds[forces])), len(bounds)))
     grid[:, forces] = _grid(bounds[forces])
     joints = _joints(vehicle, random, 64)
-    inertias, motions = (stacked(value, len(joints)) for value in laws["inertia"].map(len(joints))(np.array(joints).T))
+    inertias, motions = for_rows(laws["inertia"], np.array(joints))
     n, here = inertias.shape[1], _turned(vehicle, 0.0)
     values, vectors = np.linalg.eigh((inertias + inertias.transpose(0, 2, 1)) / 2)
     if not n or np.any(values.min(axis=1) <= 1e-12 * values.max(axis=1)):

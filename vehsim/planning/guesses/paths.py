@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie import SO3
-from vehsim.lie.vectorized import stacked
+from vehsim.lie.vectorized import for_rows
 from vehsim.planning.guesses.pacing import pace, stopping
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
@@ -222,7 +222,7 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
     r = np.zeros((len(xi) + 1, s))
     for joint, (low, high) in vehicle.joint_limits.items():
         place, values = vehicle.joints.index(joint), np.linspace(max(low, -2.0), min(high, 2.0), 81)
-        rays = _matrices(moves, np.eye(s)[place] * values[:, None])
+        rays = for_rows(moves, np.eye(s)[place] * values[:, None])[0]
         onto = rays @ np.linalg.pinv(rays)
         missed = ((xi - xi @ onto.transpose(0, 2, 1)) ** 2).sum(axis=2)
         missed += 1e-6 * (values[:, None] ** 2) * (xi**2).sum(axis=1)
@@ -233,15 +233,10 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
         kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
         r[:-1, place] = np.convolve(np.pad(chosen, 2, mode="edge"), kernel, mode="valid")
         r[-1, place] = r[-2, place]
-    u = (np.linalg.pinv(_matrices(moves, r[:-1])) @ xi[:, :, None])[:, b:, 0]
+    u = (np.linalg.pinv(for_rows(moves, r[:-1])[0]) @ xi[:, :, None])[:, b:, 0]
     for place, joint in enumerate(vehicle.joints):
         if joint in vehicle.joint_limits:
             u[:, place] = np.diff(r[:, place]) / h
         else:
             r[1:, place] = np.cumsum(u[:, place] * h)
     return r, u
-
-
-def _matrices(function: ca.Function, rows: Array) -> Array:
-    """The matrix (m, k) that a function of a column gives for each row (n, .), as (n, m, k)."""
-    return stacked(function.map(len(rows))(rows.T), len(rows))

@@ -171,7 +171,7 @@ class Use:
     def name(self, occurrence: int, row: int) -> str:
         """The name of a row in messages."""
         if self.element.labels:
-            return self.element.labels[row]
+            return ".".join([*self.names[occurrence : occurrence + 1], self.element.labels[row]])
         return self.names[occurrence] if self.names else f"{self.element.name}[{occurrence}]"
 
     @property

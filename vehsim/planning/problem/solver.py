@@ -231,8 +231,11 @@ class Solver:
         functions = problem.functions()
         self._nlp = functions.pop("nlp")
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
-        taken = {"ipopt": functions, "sqpmethod": {"hess_lag": _whole(functions["hess_lag"])}}
-        self._own = taken.get(plugin, {})  # the other plugins differentiate themselves
+        self._own = {}  # the other plugins differentiate themselves
+        if plugin == "ipopt":
+            self._own = functions
+        elif plugin == "sqpmethod":
+            self._own = {"hess_lag": _whole(functions["hess_lag"])}
         self._solvers: dict[tuple[Start, float], ca.Function] = {}
 
     def prepare(self, start: Start, magnitude: float = 1.0) -> ca.Function:

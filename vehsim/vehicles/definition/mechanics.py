@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 
 from vehsim.errors import InputError
+from vehsim.lie.once import built_once
 from vehsim.vehicles.definition.base import Definition, Expr
 
 
@@ -184,6 +185,7 @@ def _balancing(balance: Expr, z_dot: Expr) -> Expr:
     return -ca.solve(mass, rest) if z_dot.shape[0] else ca.SX(0, 1)
 
 
+@built_once
 def residual_force(
     vehicle: Definition, g: Expr, r: Expr, z: Expr, z_dot: Expr, c: Expr, c_rate: Expr, wind: Expr
 ) -> tuple[Expr, Expr]:
