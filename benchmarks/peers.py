@@ -76,6 +76,12 @@ has the lower cost (12.6194, shooting 12.6399), and at 64 the same executed erro
 shooting with fatrop still takes 0.43 (ours by IPOPT) to 0.6 (by fatrop) of the time. It is the only one of the three
 problems that shooting solves faster.
 
+Totals once more on 2026-11-27 (commit 49712fb2, load 13, a million additions in Python 28 ms), medians of seven first
+plans in forked processes, in turn with the state of the morning: car 115 ms (123 before; CasADi 91, so 0.79 of ours),
+quadrotor 159 ms (197; CasADi 187, 1.17). At load 19, nine plans of the car: 135 ms (141; CasADi 101, 0.75). Of the
+car's, about 30 ms build the problem, 20 solve it, 11 are its guess, 10 the clip and its certificate, 6 the execution
+and 6 the audit; what is left are many parts of 1 to 5 ms. The target, 1, is not met for the car.
+
 ## Tried and dropped
 
 - acados: it does not install from PyPI.
