@@ -199,3 +199,24 @@ def test_a_clearance_that_a_later_plan_does_not_keep_is_refused():
     marks[0]["position"][1] = marks[1]["position"][1] = 6
     take = apart(second | {"clearance": 3.0}, 3.0).solve(cached=False)
     assert {row["key"]: row["met"] for row in take.report["audit"]["first"]}["clearance"]
+
+
+def test_contact_in_the_handles_is_warned_of():
+    """The clearance of a plan ends with its last mark: two cars that met in the handles were delivered silently."""
+    rest = {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [4, 0, 0]}
+    marks = [rest, {"frame": 1097, "position": [16, 0, 0], "heading": 0, "velocity": [4, 0, 0]}]
+    start = {"position": [20, -24.5, 0], "heading": 90, "velocity": [0, 3.5, 0]}
+    shot = Shot.from_dict(
+        {
+            "shot": {"schema": 1, "name": "met", "start_frame": 1001, "end_frame": 1097, "handles": 48},
+            "world": {"obstacle": [{"shape": "vehicle", "vehicle": "other"}]},
+            "vehicle": [
+                {"name": "car", "asset": "car", "motion": {"method": "plan", "segments": 16, "mark": marks}},
+                {"name": "other", "asset": "car", "motion": {"method": "simulate", "start": start}},
+            ],
+        }
+    )
+    with pytest.warns(UserWarning, match=r"car: contact: -\d\.\d+ m, -0\.05 required, at frame 11[0-4]\d") as said:
+        take = shot.solve()
+    assert len([warning for warning in said if "car: contact" in str(warning.message)]) == 1
+    assert {row["key"]: row["met"] for row in take.report["audit"]["car"]}["clearance"]

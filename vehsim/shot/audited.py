@@ -43,8 +43,8 @@ def audit_clips(
         mine.append(Ask("shot.start_frame", "frame", first, first, lower=first, upper=first, unit="frames"))
         mine.append(Ask("shot.end_frame", "frame", last, last, lower=last, upper=last, unit="frames"))
         mine += _wheels(clip, worlds[name], first, last)
-        if not any(ask.measure == "clearance" for ask in mine):
-            mine += _untouched(clip, worlds[name], first, last)
+        for begin, end in _unasked(mine, first, last):
+            mine += _untouched(clip, worlds[name], begin, end)
         rows = audit(track_of_clip(clip), mine, WorldScene(worlds[name], clip.vehicle))
         found[name] = [ask.as_dict() | row.as_dict() for ask, row in zip(mine, rows, strict=True)]
         wrong += [f"{name}: {row}" for row in missed(rows)]
@@ -55,6 +55,15 @@ def audit_clips(
         more = f" and {len(wrong) - NAMED} more" * (len(wrong) > NAMED)
         raise SolveError(f"the finished motion misses what was requested: {'; '.join(wrong[:NAMED])}{more}")
     return found
+
+
+def _unasked(asks: Sequence[Ask], first: float, last: float) -> list[tuple[float, float]]:
+    """The frames of which no clearance is requested: all, or those before and after it, such as handles."""
+    asked = [(ask.first, ask.last) for ask in asks if ask.measure == "clearance"]
+    if not asked:
+        return [(first, last)]
+    begin, end = min(a for a, _ in asked), max(b for _, b in asked)
+    return [span for span in ((first, begin), (end, last)) if span[0] < span[1]]
 
 
 def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
@@ -80,7 +89,7 @@ def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
 
 
 def _untouched(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
-    """The ask, with a warning, that nothing passes through rock or an obstacle, if no clearance was requested."""
+    """The ask, with a warning, that nothing passes through rock or an obstacle between two frames."""
     from vehsim.audit.scene import can_hit
     from vehsim.requests import Ask
 
