@@ -507,7 +507,18 @@ def still(scene: Any, path: str | Path, frame: int, camera: str | None, size: Se
     render.filepath = str(Path(path).resolve())
     render.resolution_x, render.resolution_y, render.resolution_percentage = size[0], size[1], 100
     scene.cycles.samples = samples
+    _hide_empty_points(scene)
     bpy.ops.render.render(write_still=True)
+
+
+def _hide_empty_points(scene: Any) -> None:
+    """Hide points, such as spray, of which there are none: Cycles 5.0 crashes on them."""
+    import bpy
+
+    now = bpy.context.evaluated_depsgraph_get()
+    for found in scene.objects:
+        if found.type == "POINTCLOUD" and not len(found.evaluated_get(now).data.points):
+            found.hide_render = True
 
 
 def alembic(scene: Any, path: str | Path) -> None:

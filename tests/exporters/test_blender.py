@@ -291,6 +291,10 @@ def test_cycles_renders_the_stage_alone(shot, tmp_path):
     _, path = shot
     stage = Usd.Stage.Open(str(path))
     UsdGeom.Xform.Define(stage, "/shot/env/chase")  # in Blender the camera of that name is then called chase.001
+    spray = UsdGeom.Points.Define(stage, "/shot/env/spray")  # none of it is in the air at that frame
+    for attribute in (spray.CreatePointsAttr(), spray.CreateVelocitiesAttr()):
+        attribute.Set([], stage.GetStartTimeCode())
+        attribute.Set([(0.0, 0.0, 0.0)], stage.GetEndTimeCode())
     stage.GetRootLayer().Save()
     picture = tmp_path / "still.png"
     blender._run(path, "--still", picture, "--size", "64x36", "--samples", "4", "--camera", "chase")
