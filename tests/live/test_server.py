@@ -428,6 +428,38 @@ def test_a_dragged_motion_that_was_not_found_again_is_kept_as_guess(path):
     asyncio.run(play())
 
 
+@pytest.mark.parametrize("helps", [True, False])
+def test_a_release_that_would_be_a_stunt_starts_from_the_dragged_motion(path, monkeypatch, helps):
+    """If that does not help either, the file stays as it was."""
+    path.write_text(SHOT.replace("frame = 1073", "frame = 1169").replace("segments = 8", "segments = 16"))
+    session, real = Session(path, path.parent, lambda *_: None), Session.solve
+
+    def solve(self):
+        shown = real(self)
+        guessed = "guess" in self.document.text
+        if self.take is not None and not (guessed and helps):
+            self.take.report["vehicles"]["car"]["character"] = "stunt"
+        return shown
+
+    session.solve()
+    session.prepare()
+    place = {"key": MARK, "position": [9.0, 2.0, 0.0]}
+    session.drag(Drag(kind="drag", **place))
+    assert session._drafts["car"].draft.character != "stunt"
+    monkeypatch.setattr(Session, "solve", solve)
+    session.place(Place(kind="place", **place))
+    before = session.document.text
+    shown = session.compare_dragged()
+    assert shown is not None and session.solved
+    said = json.dumps(session.problems)
+    if helps:
+        assert 'guess = "drive.car.guess.001.npz"' in session.document.text and 'driven as \\"stunt\\"' in said
+        assert Shot.from_dict(session.document.data, path.parent).solve().report["vehicles"]["car"]["success"]
+    else:
+        assert session.document.text == before and "its guess now" not in said
+    session.close()
+
+
 def test_a_difference_that_comes_from_the_grid_offers_no_guess(path, monkeypatch):
     """The car speeds up and slows down: on 4 segments it does so elsewhere than on 16, also from a guess."""
     path.write_text(SHOT.replace("segments = 8", "segments = 16"))

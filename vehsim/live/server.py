@@ -306,8 +306,14 @@ class Server:
             self._told_motion = True
             self._tell_block(block)
             await self._compared(self._tell)
-            with suppress(VehsimError):
-                await self._in_thread(self._session.compare_dragged)
+            try:
+                kept = await self._in_thread(self._session.compare_dragged)
+            except Superseded:
+                return
+            except VehsimError:
+                kept = None
+            if kept is not None:
+                self._tell_block(kept)
         self._tell(self._session.state)
         if refused is not None:
             self._tell(refused)

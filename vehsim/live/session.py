@@ -11,7 +11,7 @@ import math
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -60,6 +60,7 @@ from vehsim.live.messages import (
 from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
 from vehsim.runtime.progress import Progress, Watching
 from vehsim.shot.checks import variants_of
+from vehsim.vehicles.definition.character import CHARACTERS, STUNT
 
 if TYPE_CHECKING:
     from vehsim.delivery.take import Take
@@ -144,6 +145,8 @@ class Session:
         """The shot with the handle where it was dragged last, if its motion is not solved to its end."""
         self._kept: tuple[str, dict[str, Clip]] = "", {}
         """A text, and the motion of vehicles that was drawn before it was solved."""
+        self._characters: dict[str, str] = {}
+        """The characters of that motion."""
         self._uncompared: list[str] = []
         """The vehicles whose motion was solved after a drag, but not compared with the dragged one."""
         self._kinematics: Kinematics | None = None
@@ -411,31 +414,65 @@ class Session:
                     self.drag(moved)
                 if self.lags:
                     self.catch_up()
-                drawn = {table.name: self._drafts[table.name].draft.clip() for table in self._following(handle)}
+                last = {table.name: self._drafts[table.name].draft for table in self._following(handle)}
+                drawn = {name: draft.clip() for name, draft in last.items()}
+                self._characters = {name: draft.character for name, draft in last.items()}
         self._dragged = None
         self.document.change(handle.moved(moved.position, moved.heading, moved.frame, moved.tilt))
         shown = self.solve()
         self._kept, self._uncompared = (self.document.text, drawn), list(drawn) if shown is not None else []
         return shown
 
-    def compare_dragged(self) -> None:
-        """Add to ``problems`` where the motion solved on release, which the page shows, is not the dragged one."""
+    def compare_dragged(self) -> bytes | None:
+        """Add to ``problems`` where the motion solved on release, which the page shows, is not the dragged one.
+
+        If it is in a harder character, the dragged one becomes its guess, and this returns what shows the motion that
+        is solved from there. Raises `Superseded`.
+        """
         names, self._uncompared = self._uncompared, []
         for name in names if self.solved else ():
             self._compare(name)
+        harder = {name: self._character(name) for name in names if self.solved and self._is_harder(name)}
+        if not harder:
+            return None
+        shown = self._keep(list(harder))
+        if shown is None or all(map(self._is_harder, harder)):  # the guesses do not help
+            said = self.problems
+            self.document.undo()
+            shown, self.problems = self.solve(), said
+            return shown
+        for name, found in harder.items():
+            text = f'{name}: the dragged motion is its guess now, because without that it would be driven as "{found}"'
+            self.problems.append({"text": f"{text}; undo removes the guess"})
+        return shown
+
+    def _character(self, name: str) -> str:
+        """That of a vehicle's solved motion."""
+        assert self.take is not None
+        return str(self.take.report["vehicles"][name].get("character", STUNT))
+
+    def _is_harder(self, name: str) -> bool:
+        """Whether a vehicle's solved motion is in a harder character than the dragged one."""
+        return CHARACTERS.index(self._character(name)) > CHARACTERS.index(self._characters[name])
 
     def keep_dragged(self, wanted: KeepDragged) -> bytes | None:
         """Save the dragged motion of a vehicle beside the shot as its guess, and `solve` from there."""
         text, drawn = self._kept
         if text != self.document.text or wanted.vehicle not in drawn:
             raise InputError("no longer the dragged motion", "drag again", key=wanted.vehicle)
-        at, _ = self._planned(wanted.vehicle)
-        path = self._unused(f"{self.document.path.stem}.{wanted.vehicle}.guess").with_suffix(".npz")
-        drawn[wanted.vehicle].save(path)
-        self.document.put(f"vehicle[{at}].motion.guess", path.name)
+        return self._keep([wanted.vehicle])
+
+    def _keep(self, names: Sequence[str]) -> bytes | None:
+        """Save the dragged motion of vehicles beside the shot as their guesses, and `solve` from there."""
+        drawn, guesses = self._kept[1], {}
+        for name in names:
+            path = self._unused(f"{self.document.path.stem}.{name}.guess").with_suffix(".npz")
+            drawn[name].save(path)
+            guesses[f"vehicle[{self._planned(name)[0]}].motion.guess"] = path.name
+        self.document.change(guesses.items())
         shown = self.solve()
-        if shown is not None:
-            self._compare(wanted.vehicle, drawn[wanted.vehicle])
+        for name in names if shown is not None else ():
+            self._compare(name, drawn[name])
         return shown
 
     def _compare(self, name: str, guess: Clip | None = None) -> None:

@@ -57,6 +57,11 @@ class Draft:
         return self._iterate.success
 
     @property
+    def character(self) -> str:
+        """The name of its character."""
+        return self._iterate.request.traits.name
+
+    @property
     def reason(self) -> str:
         """What a failed draft misses."""
         if self.success or self._iterate.solution is None or self._iterate.problem is None:
