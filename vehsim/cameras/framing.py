@@ -52,7 +52,7 @@ relative to the camera's distance."""
 STILL = 0.05
 """Largest movement of a parked vehicle, m."""
 OUTLINE = 2000
-"""Most corners of a vehicle's outline: of more, those farthest in as many directions, within 2e-3 of its size."""
+"""Most corners of a vehicle's outline: of more, those farthest in as many directions, within 3e-3 of its size."""
 TILTED = 0.55
 """Largest share of the frame's height for the target with its pitch: a steeply pitched vehicle is tall, and would
 otherwise be shown small and far away."""
@@ -94,8 +94,7 @@ def solve_camera(
             rotations = _framed(rotations, rig.framing, aperture, rig.lens_mm, ups)
         if framed:
             fills = projected_heights(positions, rotations, subject.upright, zoom)
-            # some frames farther back do not make the others nearer
-            distance *= _rescale(fills * back, rig.fill, move.fill)
+            distance *= _rescale(fills, back, rig.fill, move.fill)
     if (buried := in_rock(positions, around)).any():
         warnings.warn(
             f"camera {rig.name!r} is inside the rock at frame {every[buried.argmax()]:g}; give it another place, "
@@ -172,12 +171,16 @@ def _parked(clips: Mapping[str, Clip], target: str, frames: Array) -> tuple[Park
     return tuple(Parked((s.corners[0],)) for s in others if np.ptp(s.corners, axis=0).max() < STILL)
 
 
-def _rescale(fills: Array, wanted: float, measure: Any = np.median) -> float:
-    """Factor on the distance that brings the typical fill to ``wanted`` and its extremes into `FILL_RANGE`."""
-    usual = float(measure(fills)) / wanted
+def _rescale(fills: Array, back: Array, wanted: float, measure: Any = np.median) -> float:
+    """Factor on the distance that brings the typical fill to ``wanted`` and its extremes into `FILL_RANGE`.
+
+    Some frames that are farther ``back`` by these factors (n,) do not make the others nearer. Nor do frames that would
+    be too near without them, such as where rock leaves no room, move the whole camera away.
+    """
+    usual = float(measure(fills * back)) / wanted
     if measure is np.max:  # the far end of a pass may be small
         return float(np.clip(usual, 0.3, 3.0))
-    nearest, farthest = float(fills.max()) / FILL_RANGE[1], float(fills.min()) / FILL_RANGE[0]
+    nearest, farthest = float(fills.max()) / FILL_RANGE[1], float((fills * back).min()) / FILL_RANGE[0]
     return float(np.clip(min(max(usual, nearest), max(farthest, nearest)), 0.3, 3.0))
 
 
