@@ -62,8 +62,7 @@ OFF_GROUND = 0.05
 class Shot:
     """A shot file in memory. Make one with `Shot.load` or `Shot.from_dict`; `solve` makes the take.
 
-    Both raise ``ShotError`` with all errors of the file's form at once, before any other file is read; `check` finds
-    all others.
+    Both raise ``ShotError`` with all errors at once.
     """
 
     def __init__(self, file: ShotFile, folder: Path, source: str = "", lines: Mapping[str, int] | None = None):
@@ -98,8 +97,7 @@ class Shot:
         shot = cls(file, Path(folder), source, lines) if file else None
         if problems:
             found = [_place(problem, source, lines) for problem in problems]
-            rest = [] if shot is None else shot._check_header()  # a typing mistake is refused before files are read
-            raise ShotError([*found, *(_place(problem, source, lines) for problem in rest)])
+            raise ShotError(found + (shot.check() if shot else []))
         assert shot is not None
         return shot
 
