@@ -48,6 +48,8 @@ APART = math.radians(30.0)
 """Largest rotation between two samples of Alembic."""
 TURN = math.radians(5.0)
 """Largest rotation between two quaternion keys: Blender interpolates their components linearly."""
+DISPLAY_COLOUR = "displayColor"
+"""Name of USD's colour of meshes without a material, as primvar and as attribute in Blender."""
 MERGED = 0.01
 """Keys closer than this, in frames, become one in Blender."""
 
@@ -63,10 +65,29 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
     bpy.ops.wm.usd_import(filepath=str(Path(stage).resolve()), set_frame_range=True)
     for light in bpy.data.lights:
         light.energy /= SUN if light.type == "SUN" else 1.0
+    _show_display_colours(bpy.data.meshes)
     if fps is not None:
         scene.render.fps = -(-fps.numerator // fps.denominator)
         scene.render.fps_base = float(scene.render.fps / fps)
     return scene
+
+
+def _show_display_colours(meshes: Iterable[Any]) -> None:
+    """Give meshes without a material one with their ``displayColor``, which Blender imports but does not show."""
+    import bpy
+
+    bare = [mesh for mesh in meshes if not mesh.materials and DISPLAY_COLOUR in mesh.attributes]
+    if not bare:
+        return
+    material = bpy.data.materials.new(DISPLAY_COLOUR)
+    material.use_nodes = True
+    tree = material.node_tree
+    colour = tree.nodes.new("ShaderNodeAttribute")
+    colour.attribute_name = DISPLAY_COLOUR
+    (shader,) = (node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    tree.links.new(colour.outputs["Color"], shader.inputs["Base Color"])
+    for mesh in bare:
+        mesh.materials.append(material)
 
 
 # ---------------------------------------------------------------- native curves

@@ -284,6 +284,35 @@ def test_a_layer_over_a_blender_asset_moves_in_blender(tmp_path, toys, make_take
 
 
 @needs_blender
+def test_meshes_without_a_material_show_their_display_colour(tmp_path):
+    from pxr import Gf, Usd, UsdGeom, UsdShade
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "bare.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/toy").GetPrim())
+    for name in ("bare", "dressed"):
+        face = UsdGeom.Mesh.Define(stage, f"/toy/{name}")
+        face.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+        face.CreateFaceVertexCountsAttr([3])
+        face.CreateFaceVertexIndicesAttr([0, 1, 2])
+        face.CreateDisplayColorAttr([Gf.Vec3f(0.8, 0.1, 0.1)])
+    paint = UsdShade.Material.Define(stage, "/toy/paint")
+    shader = UsdShade.Shader.Define(stage, "/toy/paint/shader")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    paint.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(face.GetPrim()).Bind(paint)
+    stage.Save()
+    opening = f"scene = blender.open_stage({str(tmp_path / 'bare.usda')!r})"
+    more = """about = {}
+for mesh in bpy.data.meshes:
+    links = [link for material in mesh.materials if material.node_tree for link in material.node_tree.links]
+    nodes = [link.from_node for link in links if link.to_socket.name == "Base Color"]
+    about[mesh.name] = [node.attribute_name for node in nodes if node.type == "ATTRIBUTE"]"""
+    assert matrices(opening, [], [1.0], more)[1] == {"bare": ["displayColor"], "dressed": []}
+
+
+@needs_blender
 def test_cycles_renders_the_stage_alone(shot, tmp_path):
     from PIL import Image
     from pxr import Usd, UsdGeom
