@@ -11,6 +11,7 @@ with the numbers of the stage: an accumulated angle stays one, so that no wheel 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import os
 import re
@@ -50,6 +51,8 @@ TURN = math.radians(5.0)
 """Largest rotation between two quaternion keys: Blender interpolates their components linearly."""
 DISPLAY_COLOUR = "displayColor"
 """Name of USD's colour of meshes without a material, as primvar and as attribute in Blender."""
+HIDING = ("hide_render", "hide_viewport")
+"""Properties that hide an object, in renders and in viewports."""
 MERGED = 0.01
 """Keys closer than this, in frames, become one in Blender."""
 
@@ -66,6 +69,7 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
     for light in bpy.data.lights:
         light.energy /= SUN if light.type == "SUN" else 1.0
     _show_display_colours(bpy.data.meshes)
+    _hide_empty_points(bpy.data.objects, read_stage(stage))
     if fps is not None:
         scene.render.fps = -(-fps.numerator // fps.denominator)
         scene.render.fps_base = float(scene.render.fps / fps)
@@ -88,6 +92,21 @@ def _show_display_colours(meshes: Iterable[Any]) -> None:
     tree.links.new(colour.outputs["Color"], shader.inputs["Base Color"])
     for mesh in bare:
         mesh.materials.append(material)
+
+
+def _hide_empty_points(imported: Iterable[Any], opened: Any) -> None:
+    """Hide points, such as spray, at the frames at which there are none: Cycles 5.0 crashes on them, in renders and in
+    viewports."""
+    for found in imported:
+        if found.type != "POINTCLOUD":
+            continue
+        counts = {0.0: len(found.data.points)}
+        for cache in (modifier for modifier in found.modifiers if modifier.type == "MESH_SEQUENCE_CACHE"):
+            points = opened.GetPrimAtPath(cache.object_path).GetAttribute("points")
+            counts = {time: len(points.Get(time)) for time in points.GetTimeSamples()}
+        changes = [next(times) for _, times in itertools.groupby(counts, key=lambda time: counts[time] > 0)]
+        for path in HIDING if 0 in counts.values() else ():
+            _curve(found, path, 0, [_Key(time, float(not counts[time]), held=True) for time in changes])
 
 
 # ---------------------------------------------------------------- native curves
@@ -353,7 +372,7 @@ def _curve(found: Any, path: str, index: int, keys: Sequence[_Key]) -> None:
     """One native curve with these keys."""
     smooth = keys[0].after is not None
     keys = keys if smooth else _apart(keys)
-    found.keyframe_insert(path, index=-1 if path == "lens" else index, frame=keys[0].time)
+    found.keyframe_insert(path, index=-1 if path in ("lens", *HIDING) else index, frame=keys[0].time)
     (curve,) = [each for each in _curves(found) if each.data_path == path and each.array_index == index]
     points = curve.keyframe_points
     points.add(len(keys) - len(points))
@@ -528,18 +547,7 @@ def still(scene: Any, path: str | Path, frame: int, camera: str | None, size: Se
     render.filepath = str(Path(path).resolve())
     render.resolution_x, render.resolution_y, render.resolution_percentage = size[0], size[1], 100
     scene.cycles.samples = samples
-    _hide_empty_points(scene)
     bpy.ops.render.render(write_still=True)
-
-
-def _hide_empty_points(scene: Any) -> None:
-    """Hide points, such as spray, of which there are none: Cycles 5.0 crashes on them."""
-    import bpy
-
-    now = bpy.context.evaluated_depsgraph_get()
-    for found in scene.objects:
-        if found.type == "POINTCLOUD" and not len(found.evaluated_get(now).data.points):
-            found.hide_render = True
 
 
 def alembic(scene: Any, path: str | Path) -> None:
@@ -554,7 +562,8 @@ def alembic(scene: Any, path: str | Path) -> None:
     changes = (abs(c.evaluate(f + 1) - c.evaluate(f)) * (1 + ("quat" in c.data_path)) for c in turning for f in frames)
     fastest = max(changes, default=0.0)
     count = min(2 ** math.ceil(math.log2(max(fastest / APART, 1.0))), FINEST)
-    points = (point for found in moving for curve in _curves(found) for point in curve.keyframe_points)
+    motion = (curve for found in moving for curve in _curves(found) if curve.data_path not in HIDING)
+    points = (point for curve in motion for point in curve.keyframe_points)
     if any(point.interpolation == "CONSTANT" for point in points):  # a cut takes as long as one sample
         count = FINEST
     span = {"start": scene.frame_start, "end": scene.frame_end, "xsamples": count}

@@ -330,6 +330,18 @@ def test_cycles_renders_the_stage_alone(shot, tmp_path):
     with Image.open(picture) as image:
         pixels = np.asarray(image.convert("RGB"), float)
     assert pixels.shape == (36, 64, 3) and 20 < pixels.mean() < 235 and pixels.std() > 5
+    # the same scene, saved and opened again: Blender's own render, before and with the spray
+    baked, first, last = tmp_path / "shot.blend", int(stage.GetStartTimeCode()), int(stage.GetEndTimeCode())
+    blender._run(path, "--bake", baked)
+    rendered = f"""
+points = bpy.data.objects["spray"]
+about = [[(scene.frame_set(t), points.hide_render, points.hide_viewport)[1:] for t in ({first}, {last - 1}, {last})]]
+scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples = 64, 36, 1
+for frame in ({first}, {last}):
+    scene.frame_set(frame)
+    about.append(list(bpy.ops.render.render()))"""
+    _, about = matrices(OPEN_BLEND.format(path=str(baked)), [], [], rendered)
+    assert about == [[[True, True], [True, True], [False, False]], ["FINISHED"], ["FINISHED"]]
 
 
 @needs_blender

@@ -55,7 +55,11 @@ def test_motion_continues_by_its_physics_through_handles(asset):
 def test_motion_shorter_than_the_shot_without_handles_warns():
     with pytest.warns(UserWarning, match="cut off while it moves"):
         take = solve("car", end=1060)
-    assert np.ptp(take.clips["it"].resample().positions[-5:], axis=0).max() == 0.0
+    clip = take.clips["it"]
+    assert np.ptp(clip.resample().positions[-5:], axis=0).max() == 0.0
+    cut = len(clip) - np.argmax(np.any(np.diff(clip.positions, axis=0)[::-1] != 0, axis=1)) - 1
+    after = clip.times[cut] + np.arange(1, 64) / 64 / float(clip.fps)
+    assert np.abs(clip.at(after).positions - clip.positions[cut]).max() < 2e-4, "it stays where it was cut off"
 
 
 def test_a_boat_at_rest_keeps_its_rudder_angle():

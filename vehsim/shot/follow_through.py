@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 _STILL = 1e-2
 """A twist below this counts as standing still, rad/s and m/s."""
 
+SUDDEN = 1 / 1024
+"""A motion that is cut off stops within this, in frames: over a whole frame, the interpolant would overshoot."""
+
 
 def rests(clip: Clip, index: int) -> bool:
     """Whether the vehicle stands still at that sample."""
@@ -35,6 +38,10 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
     after = np.arange(clip.end_frame + 1, last + 1, dtype=float)
     if not len(before) and not len(after):
         return clip
+    if len(before) and not rests(clip, 0):
+        before = np.append(before, clip.frames[0] - SUDDEN)
+    if len(after) and not rests(clip, -1):
+        after = np.insert(after, 0, clip.frames[-1] + SUDDEN)
     start = min(first, clip.start_frame)
     seconds = 1 / float(clip.fps)
     shift = (clip.start_frame - start) * seconds
