@@ -276,7 +276,7 @@ def test_the_size_does_not_depend_on_the_frame_rate():
 def test_the_preview_moves_and_its_hulls_are_wet(shown):
     with StageRenderer(StageReader(shown[1]), (320, 180)) as renderer:
         first, again, later = (renderer.render("low", frame).astype(float) for frame in (1005, 1005, 1015))
-    assert (first == again).all()
+    assert np.abs(first - again).mean() < 0.1  # a graphics card repeats a frame with other bytes
     lower = slice(120, 180)
     assert np.abs(first[lower] - later[lower]).mean() > 2
     blue = first[lower].reshape(-1, 3).mean(axis=0)
