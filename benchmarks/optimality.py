@@ -28,6 +28,8 @@ from vehsim.vehicles import Control, Nonholonomic
 
 HEAD = """# Sinusoids compared with the least effort
 
+{summary}
+
 `python -m benchmarks.optimality` compares the integrals of the squared inputs for the same random states at both ends
 and the same time; the time is divided optimally between the stages. *Least* is Brockett's optimum. For the car
 (wheelbase 2.6 m, headings within 0.6 rad, the paper's inputs) it is the cheaper of two plans with {segments} segments,
@@ -130,17 +132,22 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=40)
     count = parser.parse_args().pairs
     warnings.simplefilter("ignore")
-    lines = []
+    lines, medians = [], []
     for name, found in (
         ("Brockett, m = 2", brockett(2, count)),
         ("Brockett, m = 3", brockett(3, count)),
         ("the paper's car", cars(count)),
     ):
         for method, row in found.items():
+            medians.append(f"{np.median(row):.1f} ({name}: {method})")
             lines.append(f"| {name} | {count} | {method} | {np.median(row):.1f} | {min(row):.2f} | {max(row):.1f} |")
     print(*lines, sep="\n")
     Path(__file__).with_name("RESULTS.optimality.md").write_text(
-        headed(HEAD.format(segments=SEGMENTS) + "\n".join(lines) + "\n")
+        headed(
+            HEAD.format(segments=SEGMENTS, summary=f"Times the least effort, medians: {'; '.join(medians)}.")
+            + "\n".join(lines)
+            + "\n"
+        )
     )
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import casadi as ca
@@ -33,6 +35,8 @@ from vehsim.sinusoids.system import DriftlessSystem
 
 HEAD = """# Steering by sinusoids, measured
 
+{summary}
+
 `python -m benchmarks.sinusoids` draws random pairs of start and goal, as `benchmarks/sinusoids.py` defines. The
 resulting inputs are integrated stage by stage by scipy's adaptive DOP853 (rtol 1e-11), which is independent of the
 method. *Steered* counts pairs whose end error is then below 1e-6; other outcomes are listed below the table.
@@ -40,6 +44,14 @@ method. *Steered* counts pairs whose end error is then below 1e-6; other outcome
 | system | steered | largest end error | steering, ms CPU per pair |
 |---|---|---|---|
 """
+
+EARLIER = """
+On 2026-11-22, versions of that day steered 23,824 of 23,824 pairs, 1,000 per system where time allowed, with end errors
+of at most 6.7e-9 without trailers and 9.7e-7 with up to five. With random hitch lengths from 0.8 to 3 m, 24 other pairs
+of four and five trailers were all steered, with an error of at most 2.5e-7.
+"""
+LIMIT = 1e-6
+"""A pair is steered if its end error is below this."""
 
 
 def end_error(steering) -> float:
@@ -140,8 +152,34 @@ SYSTEMS = {
 }
 
 
-def measure(name: str, pairs: int, seconds: float) -> tuple[str, list[str]]:
-    """A row of the table, and the failures; no more pairs are drawn once ``seconds`` of CPU time are used."""
+@dataclass(frozen=True)
+class Row:
+    """One system: of ``done`` pairs, the end ``errors`` of those with inputs, the other outcomes, and CPU time, s."""
+
+    name: str
+    done: int
+    errors: list[float]
+    wrong: Counter[str]
+    spent: float
+
+    @property
+    def steered(self) -> int:
+        return sum(error < LIMIT for error in self.errors)
+
+    @property
+    def worst(self) -> float:
+        return max(self.errors, default=np.nan)
+
+    def __str__(self) -> str:
+        each = self.spent / self.done * 1e3
+        return f"| {self.name} | {self.steered} of {self.done} | {self.worst:.1e} | {each:.0f} |"
+
+    def failures(self) -> list[str]:
+        return [f"- {self.name}: {count} x {what}" for what, count in self.wrong.items()]
+
+
+def measure(name: str, pairs: int, seconds: float) -> Row:
+    """No more pairs are drawn once ``seconds`` of CPU time are used."""
     draw, steer = SYSTEMS[name]
     rng, errors, spent, wrong, done = np.random.default_rng(0), [], 0.0, Counter(), 0
     until = time.process_time() + seconds
@@ -156,11 +194,19 @@ def measure(name: str, pairs: int, seconds: float) -> tuple[str, list[str]]:
         finally:
             spent += time.process_time() - begun
         errors.append(end_error(steering))
-    good = [e for e in errors if e < 1e-6]
-    if len(good) < len(errors):
-        wrong[f"an end error of up to {max(errors):.1e}"] = len(errors) - len(good)
-    row = f"| {name} | {len(good)} of {done} | {max(errors, default=np.nan):.1e} | {spent / done * 1e3:.0f} |"
-    return row, [f"- {name}: {count} x {what}" for what, count in wrong.items()]
+    if far := sum(error >= LIMIT for error in errors):
+        wrong[f"an end error of up to {max(errors):.1e}"] = far
+    return Row(name, done, errors, wrong, spent)
+
+
+def summary(rows: Sequence[Row]) -> str:
+    steered, done = sum(row.steered for row in rows), sum(row.done for row in rows)
+    trailers = [row for row in rows if row.name.endswith("trailers") and row.name != "0 trailers"]
+    others = max(row.worst for row in rows if row not in trailers)
+    return (
+        f"In all, {steered:,} of {done:,} pairs were steered, with end errors of at most {others:.1e} without\n"
+        f"trailers and {max(row.worst for row in trailers):.1e} with up to five."
+    )
 
 
 def main() -> None:
@@ -169,15 +215,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=np.inf, help="CPU time for each system, s")
     parser.add_argument("--only", default="", help="systems whose name has this in it")
     wanted = parser.parse_args()
-    rows, wrong = [], []
+    rows = []
     for name in SYSTEMS:
         if wanted.only in name:
-            row, more = measure(name, wanted.pairs, wanted.seconds)
-            print(row, *more, sep="\n", flush=True)
-            rows.append(row)
-            wrong += more
+            rows.append(measure(name, wanted.pairs, wanted.seconds))
+            print(rows[-1], *rows[-1].failures(), sep="\n", flush=True)
     if not wanted.only:
-        text = headed(HEAD + "\n".join([*rows, "", *(wrong or ["Every pair was steered."])]) + "\n")
+        wrong = [line for row in rows for line in row.failures()]
+        lines = [*map(str, rows), "", *(wrong or ["Every pair was steered."])]
+        text = headed(HEAD.format(summary=summary(rows)) + "\n".join(lines) + "\n" + EARLIER)
         Path(__file__).with_name("RESULTS.sinusoids.md").write_text(text)
 
 
