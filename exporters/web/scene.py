@@ -22,6 +22,7 @@ from vehsim.exporters.pictures.render import HAZE, bounds_of, haze_end
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dome_mean, exposure_of, sky_image
+from vehsim.exporters.usd.scenery.tyre_marks import marks_of
 from vehsim.exporters.usd.scenery.water import surfaces
 from vehsim.exporters.usd.scenery.water_grid import Grid, Net, covers, lay_grid
 from vehsim.exporters.usd.scenery.water_material import CLEAR, FOAM, ROUGH, TILE, patches, ripples
@@ -112,6 +113,16 @@ def movable(take: Take) -> list[str]:
     return found
 
 
+def _dressed(take: Take) -> list[Any]:
+    """The assets and the variants of a take's vehicles."""
+    return [clip.vehicle.rig and (clip.vehicle.rig.asset, clip.vehicle.rig.variants) for clip in take.clips.values()]
+
+
+def _marks_ground(take: Take) -> bool:
+    """Whether tyres of a take's vehicles slide and leave marks."""
+    return any(True for clip in take.clips.values() for _ in marks_of(clip, take.world.terrain, take.frames))
+
+
 class Kinematics:
     """How the stage's moving prims follow from clips: new motion is shown without writing a stage again.
 
@@ -134,7 +145,7 @@ class Kinematics:
                 self._rest[-1] = np.linalg.inv(carrier) @ self._rest[-1]
 
     def can_show(self, take: Take) -> bool:
-        """Whether only the vehicles' motion differs from that of the stage."""
+        """Whether only the vehicles' motion differs from that of the stage, and nothing there was made from it."""
         return (
             list(take.clips) == list(self._take.clips)
             and take.frames == self._take.frames
@@ -142,6 +153,10 @@ class Kinematics:
             and [camera.name for camera in take.cameras] == [camera.name for camera in self._take.cameras]
             and take.world.content_hash == self._take.world.content_hash
             and take.world.looks == self._take.world.looks
+            and take.render == self._take.render
+            and _dressed(take) == _dressed(self._take)
+            and not self.stage.tyre_marks
+            and not _marks_ground(take)
         )
 
     def moved_by(self, vehicle: str) -> list[int]:

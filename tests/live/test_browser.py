@@ -272,13 +272,21 @@ GRIP = "vehsim.live.grips.find((grip) => grip.handle.obstacle === 'box_0')"
 MESH = "vehsim.viewer.scene.getObjectsByProperty('isMesh', true).find((one) => one.name.includes('box_0'))"
 
 
+CHOSEN = "[...['speed', 'follow', 'curve'].map((id) => document.getElementById(id).value), vehsim.viewer.loop]"
+
+
 def test_an_obstacle_is_dragged_with_its_mesh(tmp_path):
+    """The new scene keeps what was chosen below the timeline."""
     path = written(tmp_path, SHOT + BOX)
 
     async def play():
         async with opened(path) as page:
             await page.value("vehsim.viewer.orbit.target.set(5, 5, 0); vehsim.viewer.camera.position.set(4, -8, 20)")
             await page.value("vehsim.viewer.orbit.update(); vehsim.viewer.draw()")
+            for name, value in (("speed", 0.5), ("follow", ""), ("curve", 2)):
+                choose = f"{{ const list = document.getElementById('{name}'); list.value = '{value}';"
+                await page.value(f"{choose} list.dispatchEvent(new Event('change')); }}")
+            await page.key("l", "KeyL")
             x, y = await page.value(PLACE.replace("v.rings[1]", f"{GRIP}.ring"))
             await page.mouse("Moved", x, y)
             await page.mouse("Pressed", x, y)
@@ -290,6 +298,8 @@ def test_an_obstacle_is_dragged_with_its_mesh(tmp_path):
             await page.mouse("Released", x + 20, y)
             await page.until(f"!document.getElementById('do-undo').disabled && {SOLVED}")
             await page.until(f"{MESH}.position.x === 0")  # the new scene has it in its place
+            assert await page.value(CHOSEN) == ["0.5", "", "2", False]
+            assert await page.value("[vehsim.viewer.speed, vehsim.viewer.follow, vehsim.viewer.curve]") == [0.5, "", 2]
             await page.value("document.getElementById('do-undo').click()")
             await page.until(f"document.getElementById('do-undo').disabled && {SOLVED}")
             await page.until(f"String({GRIP}.ring.position.toArray()) === '4,9,0' && {MESH}.position.x === 0")

@@ -14,7 +14,7 @@ from vehsim.errors import InputError
 from vehsim.live.document import Document
 from vehsim.live.messages import Fix
 from vehsim.live.session import Session
-from vehsim.live.settings import settings
+from vehsim.live.settings import named, settings
 from vehsim.shot.cache import motion_key
 from vehsim.shot.schema.shot_file import parse
 
@@ -190,6 +190,21 @@ def test_later_marks_move_with_one_that_is_too_early(tmp_path):
     assert session.solved
     session.document.undo()
     assert session.document.text == session.document.path.read_text()
+
+
+def test_the_page_names_marks_as_its_groups_do(tmp_path):
+    """Also the button that sets the frames."""
+    path = tmp_path / "drive.toml"
+    path.write_text(SHOT.replace("frame = 1073", "frame = 1019") + LAST)
+    session = Session(path, tmp_path, lambda *_: None)
+    session.solve()
+    (problem,) = [one for one in session.problems if "fixes" in one]
+    table = "vehicle car, motion, mark 2 at 1019"
+    assert table in {setting.table for setting in session.settings}
+    assert problem["text"].startswith(f"{table}: frame = 1019: ")
+    assert problem["offer"] == f"{table}: frame = {problem['fixes'][0][1]}, and 1 more"
+    for odd in ("shot.fps", "[0].a", "vehicle[7].motion.b", "--host"):
+        assert named(odd, session.document.data).endswith(odd.rpartition(".")[2])
 
 
 def test_the_frame_that_the_planner_found_is_offered(tmp_path):

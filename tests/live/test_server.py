@@ -936,6 +936,30 @@ def test_every_moving_part_is_where_the_stage_has_it(tmp_path):
     assert moved_by[0] | moved_by[1] == set(range(len(stage.groups))) and not moved_by[0] & moved_by[1]
 
 
+def test_a_livery_the_light_and_tyre_marks_need_a_new_scene():
+    """Everything else of a motion is shown in the scene that is there."""
+    from vehsim.exporters.web.scene import Kinematics
+
+    def solved(livery, mood="noon", asset="car"):
+        motion = {"method": "simulate", "duration": 0.2, "start": {"velocity": [9, 0, 0]}}
+        vehicle = {"name": "car", "asset": asset, "variants": {"livery": livery}, "motion": motion}
+        shot = {"schema": 1, "name": "dressed", "end_frame": 1005}
+        return Shot.from_dict({"shot": shot, "vehicle": [vehicle], "render": {"mood": mood}}).solve()
+
+    class Stage:
+        groups, tyre_marks, origin = (), (), np.zeros(3)
+
+        def matrices(self, frame):
+            return np.zeros((0, 4, 4))
+
+    take = solved("red")
+    kinematics = Kinematics(take, Stage())
+    assert kinematics.can_show(take)
+    assert not kinematics.can_show(solved("blue")) and not kinematics.can_show(solved("red", "dusk"))
+    Stage.tyre_marks = ("/dressed/env/tyre_marks/car_front_0",)
+    assert not kinematics.can_show(take)
+
+
 def test_a_drag_is_in_the_character_of_the_solved_motion(tmp_path):
     """Marks that leave too little time for the requested character: the draft begins where the plan is."""
     path = tmp_path / "hurried.toml"

@@ -1,5 +1,6 @@
 """Drafts: motion while marks are dragged, compared with plans for the same marks."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +94,22 @@ def test_wheels_stand_on_the_ground_and_segments_are_few():
     assert len(made) == 85 and UNKNOWNS == 2 * 96
     assert made.positions[:, 2] == pytest.approx(world.height(made.positions[:, :2]), abs=0.3)
     assert np.ptp(made.positions[:, 2]) > 0.05 and "heave" in made.channels
+
+
+def test_a_draft_beyond_the_grip_of_tyres_warns_of_nothing(first, monkeypatch):
+    """Each event of a drag would print it; the solve on release warns."""
+    from vehsim.planning import drafts
+
+    drawn = drafts.drawn
+
+    def slipping(*args):
+        warnings.warn("more than the grip of tyres", stacklevel=2)
+        return drawn(*args)
+
+    monkeypatch.setattr(drafts, "drawn", slipping)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        first.clip()
 
 
 @pytest.mark.parametrize(("name", "height", "top"), [("car", 0.0, 4.0), ("helicopter", 15.0, 60.0)])

@@ -57,7 +57,7 @@ from vehsim.live.messages import (
     TakeControls,
     UseRecording,
 )
-from vehsim.live.settings import DECIMALS, Handle, Setting, handles, settings
+from vehsim.live.settings import DECIMALS, Handle, Setting, handles, named, settings
 from vehsim.runtime.progress import Progress, Watching
 from vehsim.shot.checks import variants_of
 from vehsim.vehicles.definition.character import CHARACTERS, STUNT
@@ -112,8 +112,9 @@ class Session:
         self.shot: Shot | None = None
         self.take: Take | None = None
         self.problems: list[dict[str, Any]] = []
-        """Errors and warnings for the page: ``text``; ``fixes``: keys and values that would work together;
-        ``keeps``: the vehicle whose dragged motion can be kept; ``restores``: that whose earlier motion can."""
+        """Errors and warnings for the page: ``text``; ``fixes``: keys and values that would work together; ``offer``: how
+        the page says them; ``keeps``: the vehicle whose dragged motion can be kept; ``restores``: that whose earlier
+        motion can."""
         self.settings: list[Setting] = []
         self.notes: list[dict[str, Any]] = []
         """Those of the last valid text: ``frame``, ``text``, ``position`` or None."""
@@ -773,10 +774,15 @@ class Session:
             vars(shot)["world"] = self.shot.world.with_only(standing(theirs.obstacle, shot.folder))
 
     def _described(self, problem: Problem) -> dict[str, Any]:
-        """A problem for the page, without the name of the file that it shows."""
-        shown = problem.line is None and problem.file == str(self.document.path)
-        text = str(replace(problem, file="") if shown else problem)
-        return {"text": text} | ({"fixes": problem.fixes} if problem.fixes else {})
+        """A problem for the page, without the name of the file that it shows; ``offer``: what its fixes set."""
+        if problem.line is None and problem.file == str(self.document.path):
+            problem = replace(problem, file="", key=named(problem.key, self.document.data))
+        if not problem.fixes:
+            return {"text": str(problem)}
+        (key, value), *others = problem.fixes
+        more = f", and {len(others)} more" if others else ""
+        offer = f"{named(key, self.document.data)} = {value}{more}"
+        return {"text": str(problem), "fixes": problem.fixes, "offer": offer}
 
     def _handle(self, moved: Moved) -> Handle:
         """The handle of a message. Raises ``InputError``."""

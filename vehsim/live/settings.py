@@ -244,6 +244,12 @@ def _kind(node: Mapping[str, Any]) -> str:
     return node["type"] if node.get("type") in KINDS else ""
 
 
+def named(key: str, data: Any) -> str:
+    """A dotted key as the page says it: with the title of its table if that is one of a list."""
+    table, _, name = key.rpartition(".")
+    return f"{_title(key, data)}: {name}" if table.find("[") > 0 else key
+
+
 def _title(key: str, data: Any) -> str:
     """What the table of a dotted key is called: tables in lists by their names, or else by number and frame."""
     found: list[str] = []
@@ -252,7 +258,7 @@ def _title(key: str, data: Any) -> str:
             data = data.get(name) if isinstance(data, Mapping) else None
             found.append(name)
             continue
-        data = data[int(index)] if isinstance(data, list) else {}
+        data = data[int(index)] if isinstance(data, list) and int(index) < len(data) else {}
         frame = f" at {data['frame']}" if isinstance(data, Mapping) and "frame" in data else ""
         own = data.get("name") if isinstance(data, Mapping) else None
         found[-1] += f" {own or int(index) + 1}{frame}"

@@ -6,6 +6,7 @@ A plan is refined, certified and audited; a draft is one solution of the optimal
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -116,8 +117,13 @@ class Draft:
         return dragged_cover(request, self._iterate.paths, progress, names)
 
     def clip(self) -> Clip:
-        """The motion on whole frames, with wheels on the ground, within a millimetre or two."""
-        return drawn(self._iterate, self._iterate.request.world)
+        """The motion on whole frames, with wheels on the ground, within a millimetre or two.
+
+        Warnings, such as of the grip of tyres, are left to the solve.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return drawn(self._iterate, self._iterate.request.world)
 
 
 def _changed(before: World, after: World) -> list[Obstacle]:

@@ -10,6 +10,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
   const ACCENT = 0xff8a3d, PATH = 0x2fb4ff, FRUSTUM = 0xe8e8e8;
   const COMPARED = [0xf2d13c, 0x6fd66f, 0xd58cff, 0xff6f91, 0x4fd6c8, 0xc0a080, 0x9fb4ff, 0xe0e0e0];
   const FAR = 20000;
+  const CLEAR = 4; // haze hides everything no nearer than this many times the orbit's distance, as in pictures
   const NOTE_SECONDS = 3; // a note is shown so long, or until the next one
   const SHADOW_MAP = 4096;
   const KEYS = [
@@ -508,15 +509,37 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       return this.through >= 0 ? this.shotCamera : this.camera;
     }
 
-    /** Take over frame, view and switches of another viewer, and end that one. */
+    /** Take over frame, view and choices of another viewer, and end that one. */
     replace(other) {
+      const { vehicle, name } = other.curves[other.curve] || {};
+      this._choose("speed", other.speed);
+      if (!other.follow || this.vehicles.includes(other.follow)) this._choose("follow", other.follow);
+      this._choose("curve", this.curves.findIndex((curve) => curve.vehicle === vehicle && curve.name === name));
+      if (!other.loop) element("loop").click();
       this.show(other.frame); // first: it moves the camera with the vehicle
       this.camera.position.copy(this.local(other.world(other.camera.position)));
       this.orbit.target.copy(this.local(other.world(other.orbit.target)));
       this.orbit.update();
       if (other.through < this.cameras.length) this.lookThrough(other.through);
       for (const key of Object.keys(this.shown)) if (this.shown[key] !== other.shown[key]) element(`show-${key}`).click();
+      if (other.playing) this.play();
       other.close();
+    }
+
+    /** The orbit follows another vehicle; its curve takes the place of that before. */
+    _follow(vehicle) {
+      this.follow = vehicle;
+      const { name } = this.curves[this.curve] || {}, own = this.curves.filter((curve) => curve.vehicle === vehicle);
+      this._choose("curve", this.curves.indexOf(own.find((curve) => curve.name === name) || own[0]));
+      this.timeline.build();
+    }
+
+    /** Choose an entry of a list below the timeline; -1: none. */
+    _choose(id, value) {
+      const list = element(id);
+      if (!list || value === -1) return;
+      list.value = String(value);
+      list.dispatchEvent(new Event("change"));
     }
 
     close() {
@@ -642,6 +665,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
         this.camera.aspect = width / height;
         this.camera.near = Math.min(Math.max(away / 200, 0.02), 5);
         this.camera.updateProjectionMatrix();
+        this.scene.fog.far = Math.max(this.header.light.haze.end, CLEAR * away);
       }
       const view = this.view;
       this.cameras.forEach((camera, k) => (camera.frustum.visible = this.shown.cameras && k !== this.through));
@@ -661,6 +685,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
     /** The view of a shot's camera: its picture as large as fits, and what surrounds it darkened. */
     _lookAsShot(width, height, gate) {
       const camera = this.cameras[this.through], k = this._index(this.frame);
+      this.scene.fog.far = this.header.light.haze.end;
       const view = (this.shotCamera ||= new THREE.PerspectiveCamera());
       view.matrixAutoUpdate = false;
       setPose(view.matrix, camera.poses, k);
@@ -741,7 +766,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       select("cameras", "view", [[-1, "orbit"], ...views], this.through, (value) => this.lookThrough(Number(value)));
       const followed = this.vehicles.map((name) => [name, name]);
       this.follow = this.vehicles[0] || "";
-      select("follow", "follow", [["", "nothing"], ...followed], this.follow, (value) => { this.follow = value; this.timeline.build(); });
+      select("follow", "follow", [["", "nothing"], ...followed], this.follow, (value) => this._follow(value));
       if (this.curves.length) {
         const names = this.curves.map((curve, k) => [k, this.vehicles.length > 1 ? `${curve.vehicle} ${curve.name}` : curve.name]);
         this.curve = 0;
@@ -882,7 +907,8 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       const shown = (values) => `${Number((Math.round(values[now] / finest) * finest).toPrecision(4))} ${curve.unit}`;
       ink.fillStyle = "#fff";
       ink.fillRect(share * width - 0.5, 0, 1, height);
-      const text = `${curve.name} ${shown(curve.values)}${this.viewer.drafted && `, ${this.viewer.drafted}`}`;
+      const whose = this.viewer.vehicles.length > 1 ? `${curve.vehicle} ` : "";
+      const text = `${whose}${curve.name} ${shown(curve.values)}${this.viewer.drafted && `, ${this.viewer.drafted}`}`;
       ink.font = "12px system-ui, sans-serif";
       const right = share * width + 8 + ink.measureText(text).width < width;
       ink.textAlign = right ? "left" : "right";

@@ -83,6 +83,12 @@
       const input = Object.assign(document.createElement("textarea"), { value: one.text, rows: one.text.split("\n").length, maxLength: 1000, disabled: !editor });
       input.addEventListener("change", () => (input.value ? live().send({ kind: "edit_note", tables: live().state.tables, note, text: input.value }) : (input.value = one.text)));
       row.append(input);
+      const fit = () => { // as high as its text
+        input.style.height = 0;
+        input.style.height = `${input.scrollHeight + 2}px`;
+      };
+      input.addEventListener("input", fit);
+      requestAnimationFrame(fit);
       make("pin", "pin", "pin it to where the vehicle is now", () => {
         const place = vehsim.viewer && vehsim.viewer.subject();
         if (place) live().send({ kind: "edit_note", tables: live().state.tables, note, position: vehsim.viewer.world(place) });

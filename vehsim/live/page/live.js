@@ -108,17 +108,14 @@
   }
 
   function list(problems) {
-    element("problems").replaceChildren(...problems.map(({ text, fixes, keeps, restores }) => {
+    element("problems").replaceChildren(...problems.map(({ text, fixes, offer: set, keeps, restores }) => {
       const shown = Object.assign(document.createElement("p"), { textContent: text });
       const offer = (label, message) => {
         const button = Object.assign(document.createElement("button"), { textContent: label, className: "fix" });
         button.addEventListener("click", () => send(message));
         shown.append(" ", button);
       };
-      if (fixes) {
-        const [[key, value], ...others] = fixes, moves = others.length ? `, and ${others.length} more` : "";
-        offer(`set ${key.split(".").slice(-2).join(".")} = ${value}${moves}`, { kind: "fix", fixes });
-      }
+      if (fixes) offer(`set ${set}`, { kind: "fix", fixes });
       if (keeps !== undefined) offer("save the dragged motion as guess", { kind: "keep_dragged", vehicle: keeps });
       if (restores !== undefined) offer("back to the earlier motion", { kind: "restore", vehicle: restores });
       return shown;
