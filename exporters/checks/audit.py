@@ -23,6 +23,7 @@ from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown,
 from vehsim.delivery.reports import reading_report
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.usd.metadata import Units
+from vehsim.intake.polygons import has_polygons, polygons
 from vehsim.intake.usd import dependencies, is_drawn
 from vehsim.requests import Ask
 from vehsim.rig.ops import scalar_op, slide_axis
@@ -131,22 +132,19 @@ class Delivered:
         return _through(np.array(how["values"], float), np.array(how["joint"], float), values)
 
     def meshes(self, scope: Any) -> Iterable[Any]:
-        """The meshes at and below a prim, including instances."""
-        from pxr import Usd, UsdGeom
+        """The meshes and shapes at and below a prim, including instances."""
+        from pxr import Usd
 
         for prim in Usd.PrimRange(scope, Usd.TraverseInstanceProxies()) if scope else ():
-            if prim.IsA(UsdGeom.Mesh):
+            if has_polygons(prim):
                 yield prim
 
     def triangles(self, prim: Any, frame: float) -> tuple[Array, Ints]:
         """A mesh's points (n, 3) m in its own prim's units and its faces (m, 3), fanned."""
-        from pxr import UsdGeom
-
-        mesh = UsdGeom.Mesh(prim)
-        attributes = mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()
-        given = [() if (values := attribute.Get(frame)) is None else values for attribute in attributes]
-        points = np.asarray(given[0], float).reshape(-1, 3)
-        counts, corners = np.asarray(given[1], int), np.asarray(given[2], int)
+        found = polygons(prim, frame, self.stage.GetRootLayer().realPath)
+        if found is None:
+            return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+        points, counts, corners, _ = found
         starts = np.cumsum(counts) - counts
         faces = [
             np.column_stack([corners[s], corners[s + k], corners[s + k + 1]])

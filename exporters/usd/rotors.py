@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.intake.polygons import has_polygons, polygons
 from vehsim.rig.ops import driven_prim, open_rig
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def _meshes(root: Any, rotor: Any, pattern: str | bool) -> tuple[list[str], list
     blades: list[str] = []
     discs: list[str] = []
     for prim in Usd.PrimRange(rotor, Usd.TraverseInstanceProxies()):
-        if prim.IsA(UsdGeom.Mesh) and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide:
+        if has_polygons(prim) and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide:
             disc = isinstance(pattern, str) and fnmatch(prim.GetName(), pattern)
             (discs if disc else blades).append(str(prim.GetPath())[skip:])
     return blades, discs
@@ -72,17 +73,18 @@ def _meshes(root: Any, rotor: Any, pattern: str | bool) -> tuple[list[str], list
 def _author_ring(spec: Any, stage: Any, root: Any, rig: Rig, channel: str) -> None:
     """A ring about the rotor's axis, from a tenth of the blades' radius to all of it, in the driven prim's own
     space."""
-    from pxr import Gf, Sdf, UsdGeom, Vt
+    from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
     prim = driven_prim(rig, root, channel)
     cache = UsdGeom.XformCache()
     inverse = np.linalg.inv(np.array(cache.GetLocalToWorldTransform(prim)).T)
     clouds = []
     for path in _meshes(root, prim, False)[0]:
-        mesh = UsdGeom.Mesh(root.GetPrimAtPath(path))
-        points = np.column_stack([points := np.array(mesh.GetPointsAttr().Get(), float), np.ones(len(points))])
-        to_own = inverse @ np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())).T
-        clouds.append((points @ to_own.T)[:, :3])
+        blade = root.GetPrimAtPath(path)
+        shape = polygons(blade, Usd.TimeCode.Default(), rig.asset)
+        points = np.zeros((0, 3)) if shape is None else shape.points
+        to_own = inverse @ np.array(cache.GetLocalToWorldTransform(blade)).T
+        clouds.append(points @ to_own[:3, :3].T + to_own[:3, 3])
     cloud = np.concatenate(clouds)
     axis = "XYZ".index(rig.drives[channel].op[-1])
     across = [(axis + 1) % 3, (axis + 2) % 3]

@@ -24,6 +24,7 @@ from vehsim.exporters.pictures.surfaces import surfaces_of
 from vehsim.exporters.usd.metadata import local_origin
 from vehsim.exporters.usd.scenery.water_grid import Net
 from vehsim.intake.foreign import reason_of
+from vehsim.intake.polygons import has_polygons, polygons
 from vehsim.intake.usd import is_drawn, triangulate
 from vehsim.rig.parts import Y_UP_TO_Z_UP
 
@@ -306,12 +307,15 @@ class StageReader:
                 self.tyre_marks.append(str(prim.GetPath()))
             elif prim.IsA(UsdGeom.Points):
                 self.spray = str(prim.GetPath())
-            elif prim.IsA(UsdGeom.Mesh):
+            elif has_polygons(prim):
                 yield from self._read_mesh(prim)
             elif prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer):
                 skipped.append(f"{prim.GetPath()} ({prim.GetTypeName()})")
         if skipped:
-            warnings.warn(f"{self.path}: only meshes are drawn; left out: {', '.join(skipped[:10])}", stacklevel=3)
+            warnings.warn(
+                f"{self.path}: only meshes and simple shapes are drawn; left out: {', '.join(skipped[:10])}",
+                stacklevel=3,
+            )
 
     def _read_mesh(self, prim: Any) -> Iterator[Shape]:
         """The shapes of a mesh, one per material, in the frame of the prim that moves it."""
@@ -321,14 +325,14 @@ class StageReader:
         world = self._world(str(prim.GetPath()))
         to_group = np.eye(4) if not group else np.linalg.inv(_rigid_part(self._world(group)))
         local = to_group @ world
-        mesh = UsdGeom.Mesh(prim)
+        shape = UsdGeom.Gprim(prim)
         geometry = _Geometry.read(prim, self.frames[0])
         if geometry is None:
             return
-        left_handed = mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
+        left_handed = shape.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
         flip = left_handed != (np.linalg.det(local[:3, :3]) < 0)
         for name, chosen, surface in surfaces_of(prim, len(geometry.counts), self.frames[0]):
-            yield geometry.shape(name, group, local, chosen, surface, flip, bool(mesh.GetDoubleSidedAttr().Get()))
+            yield geometry.shape(name, group, local, chosen, surface, flip, bool(shape.GetDoubleSidedAttr().Get()))
 
     def _mover(self, prim: Any) -> str:
         """The path of the closest prim at or above ``prim`` that is a body with a mass, such as a parked car, or whose
@@ -365,13 +369,14 @@ class _Geometry:
     def read(prim: Any, time: float) -> _Geometry | None:
         from pxr import UsdGeom
 
-        mesh = UsdGeom.Mesh(prim)
-        points = np.array(mesh.GetPointsAttr().Get(time) or [], float).reshape(-1, 3)
-        counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
-        indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
-        if not len(points) or not len(counts):
+        found = polygons(prim, time, prim.GetStage().GetRootLayer().realPath)
+        if found is None:
             warnings.warn(f"{prim.GetPath()}: an empty mesh; not drawn", stacklevel=4)
             return None
+        points, counts, indices, own = found
+        if own is not None:
+            return _Geometry(points, counts, indices, (own, np.arange(len(own))), None, flat=False)
+        mesh = UsdGeom.Mesh(prim)
         if counts.sum() != len(indices) or indices.min() < 0 or indices.max() >= len(points):
             raise InputError(
                 f"its faces do not fit its {len(points)} points", "export the mesh again", key=str(prim.GetPath())

@@ -216,3 +216,41 @@ def test_an_asset_of_very_many_parts_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.usda").write_text(head + parts + "}\n")
     with pytest.raises(InputError, match=r"a.usda: 1,001 parts, at most 1,000; inspect the vehicle alone"):
         inspect(tmp_path / "a.usda")
+
+
+def test_a_blocked_vehicle_of_cylinders_and_cubes_drives(tmp_path: Path) -> None:
+    """What animators block with has no mesh: wheels are found, roll on the ground, and are drawn."""
+    from pxr import Usd, UsdGeom
+
+    from vehsim.exporters.usd.exporter import write_usd
+    from vehsim.exporters.usd.stage import StageReader
+    from vehsim.runtime.progress import silent
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "van.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/van").GetPrim())
+    body = UsdGeom.Cube.Define(stage, "/van/body")
+    body.AddTranslateOp().Set((0, 110, 0))
+    body.AddScaleOp().Set((90, 60, 220))
+    for name, x, z in (("fl", 82, 150), ("fr", -82, 150), ("rl", 82, -150), ("rr", -82, -150)):
+        wheel = UsdGeom.Cylinder.Define(stage, f"/van/wheel_{name}")
+        wheel.AddTranslateOp().Set((x, 35, z))
+        wheel.CreateAxisAttr("X")
+        wheel.CreateRadiusAttr(35)
+        wheel.CreateHeightAttr(22)
+    stage.Save()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = inspect(tmp_path / "van.usda")
+        toml = write_vehicle(found, tmp_path / "van")
+        shot, _ = new_shot(tmp_path / "drive", str(toml.parent))
+        take = Shot.load(shot).solve()
+        write_usd(take, tmp_path / "out", silent)
+    assert len(found.wheels) == 4 and found.keys["forward"] == "+Z"
+    (clip,) = take.clips.values()
+    way = np.linalg.norm(np.diff(clip.positions[:, :2], axis=0), axis=1).sum()
+    mean = np.mean([np.ptp(clip.channels[f"roll_{at}"]) for at in ("rl", "rr")])
+    assert way > 1 and mean * 0.35 == pytest.approx(way, rel=0.05)
+    shapes = StageReader(tmp_path / "out" / f"{take.name}.usda").shapes
+    assert sum("wheel_" in shape.name for shape in shapes) == 4

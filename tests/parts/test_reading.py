@@ -178,11 +178,27 @@ def test_reset_xform_stack_is_read_where_it_stands_with_a_warning(tmp_path):
     assert np.allclose(in_root(part), world_points(stage, "/rig/body/loose/mesh"))
 
 
-def test_geometry_other_than_meshes_is_left_out_with_a_warning(tmp_path):
+def test_simple_shapes_are_parts_as_meshes_are(tmp_path):
+    stage = new_stage()
+    UsdGeom.Cube.Define(stage, "/rig/body").AddTranslateOp().Set((0, 0, 2))
+    wheel = UsdGeom.Xform.Define(stage, "/rig/wheel")
+    wheel.AddTranslateOp().Set((1, 0, 0.5))
+    tyre = UsdGeom.Cylinder.Define(stage, "/rig/wheel/tyre")
+    tyre.CreateAxisAttr("Y")
+    tyre.CreateRadiusAttr(0.5)
+    tyre.CreateHeightAttr(0.25)
+    tyre.CreateDisplayColorAttr([(0.1, 0.2, 0.3)])
+    body, wheel = read_parts(saved(stage, tmp_path))
+    assert body.path == "body" and np.abs(body.points).max() == 1.0 and np.allclose(body.T_rp[:3, 3], (0, 0, 2))
+    assert wheel.path == "wheel" and np.ptp(wheel.points, axis=0) == pytest.approx([1.0, 0.25, 1.0])
+    assert wheel.rgba == pytest.approx((0.1, 0.2, 0.3, 1.0))
+
+
+def test_other_geometry_is_left_out_with_a_warning(tmp_path):
     stage = new_stage()
     add_cube(stage, "/rig/mesh")
-    UsdGeom.Sphere.Define(stage, "/rig/ball")
-    with pytest.warns(UserWarning, match=r"/rig/ball \(Sphere\)"):
+    UsdGeom.BasisCurves.Define(stage, "/rig/hair")
+    with pytest.warns(UserWarning, match=r"/rig/hair \(BasisCurves\)"):
         read_parts(saved(stage, tmp_path))
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
+from vehsim.intake.polygons import has_polygons
 from vehsim.intake.reader import Answer, read_cached
 from vehsim.intake.usd import SUFFIXES, open_stage
 from vehsim.rig.rig import DISC_PITCH, DISC_ROLL
@@ -192,7 +193,8 @@ def _root(path: Path) -> dict[str, str]:
     stage = open_stage(path, load=False)
     if stage.GetDefaultPrim():
         return {}
-    tops = [prim for prim in stage.GetPseudoRoot().GetChildren() if prim.GetTypeName() in ("Xform", "Mesh", "")]
+    tops = stage.GetPseudoRoot().GetChildren()
+    tops = [prim for prim in tops if prim.GetTypeName() in ("Xform", "") or has_polygons(prim)]
     if len(tops) != 1:
         names = ", ".join(str(prim.GetPath()) for prim in tops) or "none"
         raise InputError(f"no defaultPrim, and several prims could be the vehicle: {names}", "author one", file=path)

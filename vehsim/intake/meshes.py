@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vehsim.intake import gltf
 from vehsim.intake.foreign import reading, refuse
+from vehsim.intake.polygons import has_polygons
 from vehsim.intake.reader import Answer, read_cached, read_in_process
 from vehsim.intake.usd import SUFFIXES, is_drawn, open_stage, triangles_of
 
@@ -91,17 +92,16 @@ def _checked(path: Path, key: str, points: Array, faces: NDArray[np.int64]) -> T
 
 
 def _read_usd(path: Path) -> Triangles:
-    """All meshes of a stage, in metres and Z up, for any units of the stage."""
+    """All meshes and shapes of a stage, in metres and Z up, for any units of the stage."""
     from pxr import Usd, UsdGeom
 
     stage = open_stage(path)
     points, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
     cache = UsdGeom.XformCache()
     for prim in stage.Traverse():
-        mesh = UsdGeom.Mesh(prim)
-        if not mesh or not is_drawn(prim):
+        if not has_polygons(prim) or not is_drawn(prim):
             continue
-        found = triangles_of(mesh, Usd.TimeCode.Default(), path)
+        found = triangles_of(prim, Usd.TimeCode.Default(), path)
         if found is None:
             continue
         matrix = np.array(cache.GetLocalToWorldTransform(prim))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.intake.foreign import limit, raise_limit, reading, reason_of, refuse
+from vehsim.intake.polygons import polygons
 from vehsim.intake.reader import Answer, read_in_process
 from vehsim.runtime.cache import Stamp, content_of, lookup, stamp, store
 
@@ -72,23 +73,29 @@ def complaints(path: str | Path) -> Iterator[None]:
         raise refuse(path, "asset", f"not readable as USD ({reason_of(error)})", "export it again") from error
 
 
-def triangles_of(mesh: Any, when: Any, file: str | Path) -> tuple[Array, Faces] | None:
-    """A mesh's points (n, 3) in its own space and units, and its triangles (m, 3), in the authored winding order.
+def triangles_of(prim: Any, when: Any, file: str | Path) -> tuple[Array, Faces] | None:
+    """Points (n, 3) of a mesh or a shape in its own space and units, and its triangles (m, 3), in the authored winding
+    order.
 
     None for an empty one. Raises ``InputError`` that names the prim and ``file``, which holds it.
     """
-    prim = str(mesh.GetPath())
-    points = np.array(mesh.GetPointsAttr().Get(when) or [], float).reshape(-1, 3)
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(when) or [], np.int64)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(when) or [], np.int64)
-    holes = np.array(mesh.GetHoleIndicesAttr().Get(when) or [], np.int64)
-    if not len(points) or not len(counts):
+    found = polygons(prim, when, file)
+    if found is None:
         return None
+    points, counts, indices, _ = found
+    place = str(prim.GetPath())
+    authored = prim.GetAttribute("holeIndices")  # which a shape has not
+    holes = np.array((authored.Get(when) if authored else None) or [], np.int64)
     fits = counts.min() >= 0 and counts.sum() == len(indices) and _within(indices, len(points))
     if not (fits and _within(holes, len(counts))):
-        raise InputError(f"its faces do not fit its {len(points)} points", "export the mesh again", key=prim, file=file)
+        raise InputError(
+            f"its faces do not fit its {len(points)} points",
+            "export the mesh again",
+            key=place,
+            file=file,
+        )
     if not np.isfinite(points).all():
-        raise InputError("points that are not finite numbers", "export the mesh again", key=prim, file=file)
+        raise InputError("points that are not finite numbers", "export the mesh again", key=place, file=file)
     return points, triangulate(counts, indices, holes)
 
 

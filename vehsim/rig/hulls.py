@@ -1,4 +1,4 @@
-"""Meshes of USD prims as points and triangles, with their colour, and their convex hulls."""
+"""Meshes and shapes of USD prims as points and triangles, with their colour, and their convex hulls."""
 
 from __future__ import annotations
 
@@ -40,24 +40,24 @@ def mesh_of(asset: str | Path, node: Any, messages: list[str]) -> Mesh | None:
 
     if not (node.is_look or node.collides):
         return None
-    when, mesh = Usd.TimeCode.EarliestTime(), UsdGeom.Mesh(node.prim)
-    found = triangles_of(mesh, when, made_of(asset))
+    when, shape = Usd.TimeCode.EarliestTime(), UsdGeom.Gprim(node.prim)
+    found = triangles_of(node.prim, when, made_of(asset))
     if found is None:
         messages.append(f"{made_of(asset)}: {node.prim.GetPath()}: an empty mesh; left out")
         return None
     points, faces = found
-    left_handed = mesh.GetOrientationAttr().Get(when) == UsdGeom.Tokens.leftHanded
+    left_handed = shape.GetOrientationAttr().Get(when) == UsdGeom.Tokens.leftHanded
     mirrored = np.linalg.det(node.matrix[:3, :3]) < 0
-    return Mesh(apply(node.matrix, points), faces[:, ::-1] if left_handed != mirrored else faces, _colour(mesh, when))
+    return Mesh(apply(node.matrix, points), faces[:, ::-1] if left_handed != mirrored else faces, _colour(shape, when))
 
 
-def _colour(mesh: Any, when: Any) -> tuple[float, float, float, float]:
-    """The linear colour and opacity of a mesh's preview surface, else its display colour, else grey."""
+def _colour(shape: Any, when: Any) -> tuple[float, float, float, float]:
+    """The linear colour and opacity of a shape's preview surface, else its display colour, else grey."""
     from pxr import UsdShade
 
-    rgb, alpha = mesh.GetDisplayColorAttr().Get(when), mesh.GetDisplayOpacityAttr().Get(when)
+    rgb, alpha = shape.GetDisplayColorAttr().Get(when), shape.GetDisplayOpacityAttr().Get(when)
     colour, opacity = (rgb[0] if rgb else (0.5, 0.5, 0.5)), (alpha[0] if alpha else 1.0)
-    material = UsdShade.MaterialBindingAPI(mesh.GetPrim()).ComputeBoundMaterial()[0]
+    material = UsdShade.MaterialBindingAPI(shape.GetPrim()).ComputeBoundMaterial()[0]
     shader = material.ComputeSurfaceSource()[0] if material else None
     if shader:
         inputs = {name: shader.GetInput(name) for name in ("diffuseColor", "opacity")}

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from vehsim.errors import InputError
 from vehsim.intake.foreign import check_parts
+from vehsim.intake.polygons import has_polygons
 from vehsim.intake.usd import complaints, dependencies, is_drawn, open_stage
 from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, hull_moments, mesh_of
 from vehsim.rig.rig import Rig
@@ -88,7 +89,7 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
     """The parts of ``asset`` below ``root`` (a prim path; the default prim if empty), parents before children.
 
     Raises ``InputError`` naming file and prim if the file or the root is missing, there is no mesh, a mesh is broken,
-    or a transform cannot be inverted. Warns of geometry other than meshes, which is skipped.
+    or a transform cannot be inverted. Warns of geometry other than meshes and simple shapes, which is skipped.
     """
     parts, messages = _read(asset, root)
     for message in messages:
@@ -267,7 +268,7 @@ def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[s
         elif node.is_gprim and node.is_look:
             skipped.append(f"{node.prim.GetPath()} ({node.prim.GetTypeName()})")
     if skipped:
-        messages.append(f"{made_of(asset)}: only meshes are read; left out: {', '.join(skipped)}")
+        messages.append(f"{made_of(asset)}: only meshes and simple shapes are read; left out: {', '.join(skipped)}")
     carrying = {draft.path for draft in drafts.values() if draft.look or draft.collision}
     for draft in reversed(drafts.values()):  # parents come first; the root part needs geometry of its own
         if draft.path in carrying and draft.parent is not None and draft.parent.path:
@@ -275,7 +276,7 @@ def _read_stage(asset: str | Path, root: str | None) -> tuple[list[Part], list[s
     parts = [draft.part() for draft in drafts.values() if draft.path in carrying]
     if not parts:
         place, remedy = str(prim.GetPath()), "give the prim that holds the vehicle"
-        raise InputError("no mesh at or below it", remedy, key=place, file=made_of(asset))
+        raise InputError("no mesh or shape at or below it", remedy, key=place, file=made_of(asset))
     return parts, messages
 
 
@@ -347,7 +348,7 @@ def _walk(root: Any, convert: Array, messages: list[str]) -> Iterator[_Node]:
                     "stands and moves with the vehicle here; remove the reset"
                 )
         matrices[prim.GetPath()] = above @ local
-        is_mesh, is_gprim = prim.IsA(UsdGeom.Mesh), prim.IsA(UsdGeom.Gprim)
+        is_mesh, is_gprim = has_polygons(prim), prim.IsA(UsdGeom.Gprim)
         # transform and shape in one prim
         placed = is_mesh and (prim == root or len(xformable.GetOrderedXformOps()) > 0)
         collider: Any = UsdPhysics.CollisionAPI(prim) if prim.HasAPI(UsdPhysics.CollisionAPI) else None
