@@ -90,7 +90,7 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path) -> None:
         refused(f"had world.{key}", around={**world, key: change})
     clip = Clip.load(tmp_path / "first" / "one.npz")
     (tmp_path / "first" / "one.npz").write_bytes(replace(clip, positions=clip.positions + 1).to_bytes(ending=True))
-    refused("cannot be continued")
+    refused("as by vehsim retouch.*then retouch the longer motion")
     (tmp_path / "first" / "one.npz").write_bytes(clip.to_bytes())
     refused("was not simulated")
     motion["continues"] = "none.npz"

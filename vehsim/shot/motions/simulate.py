@@ -124,7 +124,9 @@ class ForwardMotion(Table):
             try:
                 changed = changed_surroundings(clip, context.world)
             except InputError as error:
-                yield Problem("continues", error.message, "give what --to npz wrote, not edited", path)
+                message = f"{error.message}: it was changed after its simulation, as by vehsim retouch"
+                remedy = "continue what the simulation's own --to npz wrote; then retouch the longer motion"
+                yield Problem("continues", message, remedy, path)
                 return
             for key, (there, here) in changed.items():
                 yield Problem("continues", f"had {key} = {there}, this shot has {here}", "give it the same", path)
