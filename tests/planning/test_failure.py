@@ -22,8 +22,9 @@ from tests.planning.test_plan import REST, tug
 from vehsim import Mark, Shot
 from vehsim.errors import InputError, ShotError, SolveError
 from vehsim.lie.quaternions import yaw_of
-from vehsim.planning import stay
+from vehsim.planning import look_at, stay
 from vehsim.planning.constraints.mark_constraints import MarkConstraint, _amount
+from vehsim.planning.constraints.path_constraints import PathConstraint
 from vehsim.planning.deadline import MORE, Deadline
 from vehsim.planning.explain import elastic
 from vehsim.planning.explain.bounds import strength
@@ -611,6 +612,19 @@ def test_the_worst_violation_of_a_mark_has_its_unit():
     assert [rows.amount(use, k, off) for k in (0, 2, 4)] == ["5 m", "90 deg", "2 m/s"]
     with pytest.warns(UserWarning, match=r"worst violation: .*, off by [\d.e+-]+( m| deg| m/s)?;"):
         vehsim.plan(car, None, [marks[0], replace(marks[1], position=(9, 9, 0), heading=180)], max_iterations=2)
+
+
+def test_rows_of_a_range_are_named_with_their_frames():
+    """They were numbered: look_at[3]."""
+    marks = [Mark(1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)), Mark(1097, position=(20, 0, 0))]
+    terms = [look_at((60, 0, 0), (1030, 1060)), stay((1030, 1060), within=(-1, -5, 19, 5))]
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=12, terms=terms)
+    iterate, named = plan._iterate, {}
+    for use in iterate.problem.uses:
+        if isinstance(block := iterate.blocks[use.owner], PathConstraint):
+            named[block.constraint.name] = [block.describe(use, k, 0, iterate) for k in (0, use.count - 1)]
+    for name in ("look_at", "stay"):
+        assert named[name] == [f"{name} at frame 1030", f"{name} at frame 1060"]
 
 
 def test_only_marks_with_a_position_have_a_first_frame():

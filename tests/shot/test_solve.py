@@ -55,6 +55,25 @@ def test_commands_are_linear_between_frames(small: dict[str, Any]) -> None:
     assert clip.frames[-1] == 1013
 
 
+@pytest.mark.parametrize(("level", "warned"), [(-1.0, False), (2.5, True)])
+def test_what_goes_under_water_is_warned_of(small: dict[str, Any], recwarn: Any, level: float, warned: bool) -> None:
+    """It does not float, so nothing keeps it out: helicopters flew below the sea without a word."""
+    small["world"] = {"water": {"level": level}}
+    start = {"position": [0.0, 0.0, 2.0]}
+    motion = {"method": "simulate", "duration": 0.25, "pilot": {"name": "hover", "position": [0.0, 0.0, 2.0]}}
+    small["vehicle"][0] |= {"asset": "helicopter", "motion": motion | {"start": start}}
+    Shot.from_dict(small).solve()
+    said = [str(one.message) for one in recwarn if "under water" in str(one.message)]
+    assert (
+        said
+        == [
+            "car: goes under water at frame 1001, down to 0.50 m; raise its marks, or keep a plan above with "
+            "[[vehicle.motion.stay]] above = 2.5"
+        ]
+        * warned
+    )
+
+
 def test_start_is_in_degrees_and_world_axes(small: dict[str, Any]) -> None:
     start = {"position": [1.0, 2.0, 0.0], "heading": 90.0, "velocity": [0.0, 5.0, 0.0], "joints": {"sigma": 0.1}}
     small["vehicle"][0]["motion"] = {"method": "simulate", "duration": 0.25, "start": start}

@@ -220,6 +220,7 @@ class Shot:
         for name, clip in clips.items():
             vehicles[name]["frames"] = [clip.start_frame, clip.end_frame]
         self._warn_off_ground(clips)
+        self._warn_under_water(clips)
         self._check_rock(clips)
         self._warn_of_what_is_late(frames[1])
         clips = {name: self._held(name, clip, frames) for name, clip in clips.items()}
@@ -636,6 +637,20 @@ class Shot:
                 warnings.warn(
                     f"{name}: {place} the ground at frame {clip.frames[k]:g}: its asset has no wheels to follow it; "
                     "add channels travel_* or roll_* to its vehicle.toml, or stay on level ground",
+                    stacklevel=3,
+                )
+
+    def _warn_under_water(self, clips: Mapping[str, Clip]) -> None:
+        """Warn of a vehicle that does not float where its root is below the water's level: nothing keeps it out."""
+        water = self.world.water
+        if water is None:
+            return
+        for name, clip in clips.items():
+            depth = water.level - clip.positions[:, 2]
+            for k in np.flatnonzero((depth > OFF_GROUND) & (clip.vehicle.hull is None))[:1]:
+                warnings.warn(
+                    f"{name}: goes under water at frame {clip.frames[k]:g}, down to {depth.max():.2f} m; raise its "
+                    f"marks, or keep a plan above with [[vehicle.motion.stay]] above = {water.level:g}",
                     stacklevel=3,
                 )
 

@@ -18,7 +18,7 @@ from vehsim.clip.clip import Clip
 from vehsim.clip.interpolant import spatial
 from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.dynamics import bound_joints
-from vehsim.planning.problem.elements import Element, NonlinearProgram
+from vehsim.planning.problem.elements import Element, NonlinearProgram, Use
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import UNKNOWN, between_view, clip_view, evaluate, knot_view, segment_view
 from vehsim.planning.problem.transcription import Transcription
@@ -104,6 +104,13 @@ class PathConstraint(Block):
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         return {self._instants: (self.instants - np.floor(self.instants))[None]}
+
+    def describe(self, use: Use, occurrence: int, row: int, trajectory: Trajectory) -> str:
+        active = len(use.parameters) > 0  # rows between knots, of which the place is a parameter
+        place = self.instants[occurrence] if active else self._knots(trajectory.layout)[0] + occurrence
+        seconds = trajectory.seconds()
+        frame = float(np.interp(place, np.arange(len(seconds)), seconds)) * float(trajectory.request.fps)
+        return f"{self.constraint.title} at frame {frame:.0f}"
 
     def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
         if self.constraint.joint is not None:
