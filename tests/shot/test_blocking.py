@@ -81,6 +81,23 @@ def test_the_nose_may_be_any_axis_of_the_prim(tmp_path: Path) -> None:
         read_blocking(path, "/World/heli", FPS, "Y")
 
 
+@pytest.mark.parametrize(("way", "along"), [((0, 9, 0), "-Z"), ((0, -9, 0), "Z"), ((9, 0, 0), None), ((9, 9, 0), None)])
+def test_a_prim_that_moves_across_its_nose_is_warned_of(tmp_path: Path, way: Any, along: str | None) -> None:
+    """As from Maya, where noses are Z: the marks' headings would be a quarter turn off."""
+    path = stage_with(tmp_path / "in.usda", "Y", 0.01, keys={1001: ((0, 0, 8), 0.0), 1100: ((*way[:2], 8), 0.0)})
+    assert read_blocking(path, "/World/heli", FPS).moves_along == along
+    marks = {"usd": "in.usda", "prim": "/World/heli"}
+
+    def warned() -> list[str]:
+        vehicle = {"name": "it", "asset": "helicopter", "motion": {"method": "plan", "marks": marks}}
+        shot = Shot.from_dict({"shot": {"schema": 1, "name": "across"}, "vehicle": [vehicle]}, tmp_path)
+        return [problem.remedy for problem in shot.check() if problem.key.endswith("marks.forward")]
+
+    assert warned() == ([f'give forward = "{along}", or forward = "X" if that is meant'] if along else [])
+    marks["forward"] = "X"
+    assert warned() == []
+
+
 def test_keys_of_the_same_pose_are_a_hold(tmp_path: Path) -> None:
     keys = {1001: KEYS[1001], 1040: KEYS[1050], 1060: KEYS[1050], 1100: KEYS[1100]}
     assert read_blocking(stage_with(tmp_path / "in.usda", keys=keys), "/World/heli", FPS).keys == (
@@ -206,7 +223,7 @@ def shot_with(change: dict[str, Any]) -> dict[str, Any]:
     motion = {"method": "plan", "segments": 16, "marks": marks}
     return {
         "shot": {"schema": 1, "name": "blocked"},
-        "vehicle": [{"name": "heli", "asset": "helicopter", "motion": motion}],
+        "vehicle": [{"name": "heli", "asset": "helicopter", "motion": {"method": "plan", "marks": marks}}],
     }
 
 

@@ -31,6 +31,8 @@ SHORTEST_HOLD = 3
 CURVED = 0.05
 """A key is placed where linear motion between its neighbours would deviate from the blocking by this share of its
 travel."""
+ALONG = 0.97
+"""A prim moves along an axis if this share of its way lies along it."""
 STOPPED = 0.1
 """A pose is a stop where the speed falls to this share of the speeds that it reaches before and after."""
 SHEARED = 1e-14
@@ -44,7 +46,8 @@ OP = "xformOp:transform:vehsim"
 class Blocking:
     """A prim's motion on whole ``frames`` (n,): ``positions`` (n, 3) m and ``rotations`` R_wr (n, 3, 3), Z up, nose X.
 
-    ``keys``: the frames of its keys, each with the number of frames for which it is held.
+    ``keys``: the frames of its keys, each with the number of frames for which it is held. ``moves_along``: the prim's
+    own axis along which it always moves, if its nose is across that.
     """
 
     path: Path
@@ -54,6 +57,7 @@ class Blocking:
     positions: Array
     rotations: Array
     keys: tuple[tuple[int, int], ...]
+    moves_along: str | None = None
 
     @property
     def headings(self) -> Array:
@@ -115,7 +119,19 @@ def read_blocking(path: str | Path, prim: str, fps: Fraction, forward: str = "X"
     positions = metres * matrices[:, :3, 3] @ up.T
     rotations = up @ nearest_rotations(matrices[:, :3, :3]) @ _nose(forward, up)
     keys = _keys(times, frames, positions, rotations)
-    return Blocking(Path(path), prim, forward, frames, positions, rotations, keys)
+    along = _moves_along(positions, rotations, _nose(forward, up))
+    return Blocking(Path(path), prim, forward, frames, positions, rotations, keys, along)
+
+
+def _moves_along(positions: Array, rotations: Array, R_pr: Array) -> str | None:
+    """`Blocking.moves_along`, from R of the root frame to the prim's own axes."""
+    steps = np.diff(positions, axis=0)[:, :2]
+    across = float(np.einsum("ni,ni->", steps, rotations[:-1, :2, 1]))
+    if abs(across) <= ALONG * np.linalg.norm(steps, axis=1).sum():
+        return None
+    axis = R_pr[:, 1] * np.sign(across)
+    k = int(np.abs(axis).argmax())
+    return "-" * bool(axis[k] < 0) + "XYZ"[k]
 
 
 def read_edit(path: str | Path, prim: str, fps: Fraction, rig: Rig) -> Blocking:

@@ -124,10 +124,16 @@ class PlanMotion(Table):
             yield Problem("mark", "missing" if self.mark is None else "marks are given too", remedy)
             return
         try:
-            marks = self.all_marks(context)
+            marks, blocking = self.all_marks(context), self.blocking(context)
         except InputError as error:
             yield error.problem.seen_from("marks", remedy="fix the blocking or this table")
             return
+        if blocking and self.marks and blocking.moves_along and "forward" not in self.marks.model_fields_set:
+            message = (
+                f"{blocking.prim} always moves along its own {blocking.moves_along}, across its nose {blocking.forward}"
+            )
+            remedy = f'give forward = "{blocking.moves_along}", or forward = "{blocking.forward}" if that is meant'
+            yield Problem("marks.forward", message, remedy, severity="warning")
         cost = {self.cost: None} if isinstance(self.cost, str) else self.cost
         yield from check_names("cost", cost, COSTS, "cost")
         yield from check_limits(self.limits.given(), vehicle)
