@@ -22,14 +22,18 @@ class Environment:
     """Base class of everything that acts on a vehicle from outside. An instance belongs to one vehicle in one world.
 
     ``max_step`` s: the longest permitted integration step; simulation takes substeps if necessary. ``next_step`` s: the
-    longest step from the last evaluated state, for short events such as contact. ``settled``: whether contact held the
-    vehicle still in that state. ``CARRIED``: attributes that an evaluation leaves for later ones.
+    longest step from the last evaluated state, for short events such as contact. In that state, ``settled``: whether
+    contact held the vehicle still; ``free``: whether it touched nothing, and cannot within a step; ``steady``: whether
+    it was free and hardly moved, and nothing around it changes with time. ``CARRIED``: attributes that an evaluation
+    leaves for later ones.
     """
 
     CARRIED: ClassVar[tuple[str, ...]] = ()
     max_step: float = np.inf
     next_step: float = np.inf
     settled: bool = False
+    free: bool = False
+    steady: bool = False
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         """Wrench (d,) in body axes about the body frame's origin, torque [N m] then force [N] (SE(2): yaw, x, y).
@@ -45,6 +49,11 @@ class Environment:
 
     def holds(self, change: Array) -> bool:
         """Whether a further wrench (d,) leaves the vehicle at rest, if it was `settled`."""
+        return False
+
+    def balances(self, acceleration: Array) -> bool:
+        """Whether a vehicle that was `steady` stays where it is: it has hardly an ``acceleration`` (6,), and would come
+        back if it were moved."""
         return False
 
     def events(self) -> list[dict[str, Any]]:
@@ -97,6 +106,17 @@ class Spaced(Environment):
     def settled(self) -> bool:  # type: ignore[override]  # the same
         return self.part.settled
 
+    @property
+    def free(self) -> bool:  # type: ignore[override]  # the same
+        return self.part.free
+
+    @property
+    def steady(self) -> bool:  # type: ignore[override]  # the same
+        return self.part.steady
+
+    def balances(self, acceleration: Array) -> bool:
+        return self.part.balances(acceleration)
+
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         if not self._time < t < self._due:
             self._evaluate(t, state, controls)
@@ -144,6 +164,17 @@ class Combined(Environment):
     @property
     def settled(self) -> bool:  # type: ignore[override]  # the same
         return any(part.settled for part in self.parts)
+
+    @property
+    def free(self) -> bool:  # type: ignore[override]  # the same
+        return all(part.free for part in self.parts)
+
+    @property
+    def steady(self) -> bool:  # type: ignore[override]  # the same
+        return self.free and any(part.steady for part in self.parts)
+
+    def balances(self, acceleration: Array) -> bool:
+        return any(part.balances(acceleration) for part in self.parts)
 
     def holds(self, change: Array) -> bool:
         return any(part.holds(change) for part in self.parts)

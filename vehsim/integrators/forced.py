@@ -48,9 +48,10 @@ class Meeting(Holding, Protocol):
 
 
 class Alone:
-    """What holds a single vehicle: its environment."""
+    """What holds a single vehicle: its environment, which also says whether it is free."""
 
     islands: Sequence[int] = (0,)
+    free: Sequence[bool] = (True,)
 
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
@@ -139,6 +140,20 @@ class Forced:
     def start_with(self, wrench: Array, added: Array | None = None) -> None:
         """Start with this wrench (d,) instead of the environment's own."""
         self._set_wrench(wrench, added)
+
+    @property
+    def steady(self) -> bool:
+        """Whether it hardly moves, touches nothing, and nothing around it changes."""
+        return self.environment.steady
+
+    def balanced(self) -> bool:
+        """Whether a `steady` vehicle stays where it is."""
+        phase = self.phase
+        (alone,) = self._call("free", _free_acceleration)(
+            phase.g, phase.r, phase.pi, self.controls, self.integrator.wind
+        )
+        inertia = np.asarray(self.integrator.vehicle.inertia)  # type: ignore[attr-defined]  # a rigid body has it
+        return self.environment.balances(alone + np.linalg.solve(inertia, self.wrench))
 
     def stop(self) -> None:
         """Take away the momentum: the body stands still."""

@@ -1,4 +1,4 @@
-"""Bodies at rest: while contact holds them still and nothing changes, no step is integrated."""
+"""Bodies at rest: while contact or still water holds them and nothing changes, no step is integrated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vehsim.vehicles.definition.base import Array
 Mask = NDArray[np.bool_]
 
 CALM = 0.25
-"""Time for which contact holds bodies still before they rest, s."""
+"""Time for which bodies are held still before they rest, s."""
 CHANGE = 1e-3
 """Change of a wrench, as a share of it, that does not wake them without further thought."""
 
@@ -24,6 +24,13 @@ class RestingBody(Protocol):
     integrator: Any
     controls: Array
 
+    @property
+    def steady(self) -> bool:
+        """Whether it hardly moves, and its surroundings do not change."""
+
+    def balanced(self) -> bool:
+        """Whether it stays so, by itself."""
+
     def stop(self) -> None: ...
 
     def wait(self, seconds: float) -> None: ...
@@ -32,13 +39,17 @@ class RestingBody(Protocol):
 
 
 class Holding(Protocol):
-    """What holds the bodies: ``settled`` says of each whether it is held still, ``islands`` which ones lean on each
-    other: those with equal numbers. ``asleep``: those that rest, which it need not look at again."""
+    """What holds the bodies: ``settled`` says of each whether it is held still, ``free`` whether it neither touches
+    anything nor can within a step, ``islands`` which ones lean on each other: those with equal numbers. ``asleep``:
+    those that rest, which it need not look at again."""
 
     asleep: Sequence[bool]
 
     @property
     def settled(self) -> Sequence[bool]: ...
+
+    @property
+    def free(self) -> Sequence[bool]: ...
 
     @property
     def islands(self) -> Sequence[int]: ...
@@ -75,8 +86,11 @@ class Rest:
             np.array_equal(start, end) and np.array_equal(start, body.controls) and not body.integrator.vehicle.joints
             for body, (start, end) in zip(self._bodies, controls, strict=True)
         ]
-        ready = self._together(np.logical_and(same, self._holding.settled))
+        ready = self._together(np.logical_and(same, self._held()))
         self._calm = np.where(ready, self._calm + seconds, 0.0)
+        for k in map(int, np.flatnonzero(~self.asleep & (self._calm >= CALM))):
+            if not self._holding.settled[k] and not self._bodies[k].balanced():
+                self._calm[k] = 0.0
         self._rest(ready & self._together(self.asleep | (self._calm >= CALM)))
         return self.asleep
 
@@ -89,12 +103,12 @@ class Rest:
         return []
 
     def end(self) -> None:
-        """After their time has passed: wake those whose wrench is no longer balanced by contact."""
+        """After their time has passed: wake those whose wrench is no longer balanced."""
         which = [int(k) for k in np.flatnonzero(self.asleep)]
         if not which:
             return
         now, changes = self._query(which), [np.zeros_like(self._balance[which[0]]) for _ in self._bodies]
-        fine = self.asleep & self._holding.settled
+        fine = self.asleep & self._held()
         slight = fine.copy()
         for k, (wrench, _) in zip(which, now, strict=True):
             changes[k] = wrench - self._balance[k]
@@ -106,6 +120,11 @@ class Rest:
         for k, forces in zip(which, now, strict=True):
             if woken[k]:
                 self._bodies[k].start_with(*forces)
+
+    def _held(self) -> Mask:
+        """Which bodies (n,) contact holds still, or float freely and hardly move."""
+        steady = [free and body.steady for body, free in zip(self._bodies, self._holding.free, strict=True)]
+        return np.logical_or(self._holding.settled, steady)
 
     def _rest(self, asleep: Mask) -> None:
         """Let these rest."""

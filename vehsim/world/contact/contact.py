@@ -178,7 +178,7 @@ class ContactScene:
 
     CARRIED = (
         *("_events", "_grips", "_time", "_begun", "_soon", "_nearing", "_last", "_pushes"),
-        *("next_step", "settled", "islands", "asleep"),
+        *("next_step", "settled", "free", "islands", "asleep"),
     )
 
     def __init__(self, vehicles: dict[str, Any], world: Any, contact: Contact, start_time: float = 0.0) -> None:
@@ -212,6 +212,7 @@ class ContactScene:
         self.next_step = self._soon = math.inf
         count = len(self.bodies)
         self.settled: Sequence[bool] = [False] * count
+        self.free: Sequence[bool] = [False] * count
         self.islands: Sequence[int] = list(range(count))
         self.asleep: Sequence[bool] = [False] * count
         self._nearing = 0.0
@@ -322,7 +323,7 @@ class ContactScene:
         return bool(self.asleep[a]) and (b is None or (b < len(self.bodies) and bool(self.asleep[b])))
 
     def _see_rest(self, moving: Sequence[MovingBody | Led]) -> None:
-        """Which vehicles lean on each other, and which of these groups contact holds still."""
+        """Which vehicles are free, which lean on each other, and which of these groups contact holds still."""
         count = len(self.bodies)
         vehicles, obstacles = moving[:count], [led for led in moving[count:] if led.speed >= STILL]
         islands, still = list(range(count)), [m.speed < STILL for m in vehicles]
@@ -336,8 +337,10 @@ class ContactScene:
             if b is not None and islands[a] != islands[b]:
                 low, high = sorted((islands[a], islands[b]))
                 islands = [low if island == high else island for island in islands]
-        for k, vehicle in enumerate(vehicles):
-            still[k] &= touching[k] and not any(_can_reach(led, vehicle) for led in obstacles)
+        near = [any(_can_reach(led, vehicle) for led in obstacles) for vehicle in vehicles]
+        for k in range(count):
+            still[k] &= touching[k] and not near[k]
+        self.free = [not (touched or close) for touched, close in zip(touching, near, strict=True)]
         moved = {island for island, calm in zip(islands, still, strict=True) if not calm}
         self.islands, self.settled = islands, [island not in moved for island in islands]
 
@@ -465,6 +468,10 @@ class Touching(Environment):
     @property
     def settled(self) -> bool:  # type: ignore[override]  # the same
         return bool(self._scene.settled[0])
+
+    @property
+    def free(self) -> bool:  # type: ignore[override]  # the same
+        return bool(self._scene.free[0])
 
     def wrench(self, t: float, state: State, controls: Array) -> Array:
         return self._scene.wrenches(t, [state])[0]

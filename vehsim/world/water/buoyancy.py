@@ -7,8 +7,9 @@ resistance of every wetted patch with the local velocity through the water; slam
 
 from __future__ import annotations
 
+import itertools
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -69,6 +70,12 @@ PLACES = 9
 """Places along and across the hull at which a boat that starts on waves meets their surface."""
 INSTANT = 1e-3
 """Time from which its first velocity is taken, s."""
+STILL = 1e-4
+"""A hull is at rest on calm water if no point of it is faster, m/s, nor accelerates more, m/s^2."""
+NUDGE = 1e-3
+"""Share of its size, and angle in rad, by which a floating hull is moved to see whether it comes back."""
+NEUTRAL = 1e-6
+"""Share of the stiffness in heave that counts as none: a ball may roll."""
 PANELS = 300
 """Hulls with more faces are simplified to this many before."""
 
@@ -87,6 +94,7 @@ class Afloat(Environment):
     """One vehicle in a world's water. Raises ``InputError`` if its hull is not valid."""
 
     CARRIED = ("_last",)
+    free = True
     vehicle: Any
     world: Weather
     _last: tuple[State, Forces, Array, Array] | None = None
@@ -306,6 +314,49 @@ class Afloat(Environment):
         share = arms * np.array([1 / 3, 1 / 3, 1 / 3, 0, 0, 1]) / inertia
         return float(0.5 / max(rate * share.max(), 1e-9))
 
+    @property
+    def steady(self) -> bool:  # type: ignore[override]  # the same
+        """Whether the hull floats on calm, still water in constant wind and hardly moves."""
+        water, gusts = self.water, getattr(self.world, "gusts", None)
+        if self._last is None or not water.flat or water.current is not None or gusts is not None:
+            return False
+        twist = np.asarray(self._last[0].twist)
+        velocity = twist[3:] + cross(twist[:3], self.vehicle.origin)
+        return self._last[1].volume > 0 and self._fastest(twist[:3], velocity) < STILL
+
+    def balances(self, acceleration: Array) -> bool:
+        assert self._last is not None
+        return self._fastest(acceleration[:3], acceleration[3:]) < STILL and self.stable(self._last[0])
+
+    def stable(self, state: State) -> bool:
+        """Whether calm water brings the hull back to its heave, roll and pitch in ``state``."""
+        R_wb, position, *_ = _body(state, self.vehicle.origin)
+        length = float(self.size.max())
+
+        def lift(heave: float, roll: float, pitch: float) -> Array:
+            """Volume, and its moments about the origin, of the hull moved by these: heave as a share of its length."""
+            quaternion = np.array([1.0, roll / 2, pitch / 2, 0.0])
+            turned = matrices(quaternion / np.linalg.norm(quaternion)) @ R_wb
+            depths = self.water.level - position[2] - heave * length - self.mesh.points @ turned[2]
+            wet = wetted(np.column_stack([self.mesh.points, depths]), self.mesh.faces)
+            x, y, _ = turned @ wet.centroid(turned[2])
+            return wet.volume(turned[2]) * np.array([length, y, -x])
+
+        stiffness = np.array([lift(*-nudge) - lift(*nudge) for nudge in NUDGE * np.eye(3)])
+        least, _, most = np.linalg.eigvalsh(stiffness + stiffness.T)
+        return bool(least > -NEUTRAL * most)
+
+    def _fastest(self, turning: Array, moving: Array) -> float:
+        """Speed of the fastest corner of the hull's box that moves and turns as given, (3,) each, or the same of
+        accelerations."""
+        return float(np.linalg.norm(moving + cross(turning, self._corners), axis=1).max())
+
+    @cached_property
+    def _corners(self) -> Array:
+        """The corners (8, 3) of the box around the hull, m."""
+        ends = np.array([self.hull.points.min(axis=0), self.hull.points.max(axis=0)])
+        return np.array(list(itertools.product(*ends.T)))
+
     @cached_property
     def _scales(self) -> tuple[float, Array, Array]:
         """Area from above, squared lever arms (6,), and inertia (6,) with a part of the added mass."""
@@ -343,10 +394,9 @@ class Afloat(Environment):
     def forces(self, t: float, state: State, controls: Array) -> Forces:
         """All effects of water and wind on the vehicle in ``state`` at ``t`` s."""
         wind = self.world.wind_at(t)
-        if self._last is not None and self.water.flat and self.seakeeping is None:  # time changes only the wind
-            state_before, forces, *given = self._last
-            if state_before.same(state) and all(map(np.array_equal, given, (controls, wind))):
-                return forces
+        last = self._last
+        if last and self._timeless and last[0].same(state) and all(map(np.array_equal, last[2:], (controls, wind))):
+            return self._later(t)
         R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
         points, faces = (self.mesh.points, self.mesh.faces) if self.water.flat else self.mesh.quadratic
         world = points @ R_wb.T + position
@@ -368,11 +418,28 @@ class Afloat(Environment):
             immersion = min(1.0, max(0.0, volume / self.rest_volume))
             torque_force, entering, into = self.surface(wet, splashed, lift)
             speeds = (into, fastest)
-        forces = Forces(torque_force, volume, immersion, speeds, lift)
+        forces = Forces(torque_force, torque_force, volume, immersion, speeds, lift)
         depths = (elsewhere.height - others[:, 2])[: len(self.data.propulsor_points)]
         self._couple(forces, t, controls, wind, (R_wb, position, omega, velocity), elsewhere, depths, entering)
         self._last = state, forces, controls, wind
         return forces
+
+    def _later(self, t: float) -> Forces:
+        """The forces at ``t`` s in the state of the last evaluation, if the water is `_timeless`."""
+        assert self._last is not None
+        state, forces, controls, wind = self._last
+        if self.seakeeping is not None:
+            R_wb, position, omega, velocity = _body(state, self.vehicle.origin)
+            twist = np.concatenate([omega, velocity])
+            waves = self.seakeeping.wrench(t, R_wb, position, twist, twist)
+            forces = replace(forces, wrench=forces.instant + forces.immersion * waves)
+            self._last = state, forces, controls, wind
+        return forces
+
+    @property
+    def _timeless(self) -> bool:
+        """Whether the water's force on a hull that stays where it is changes only with the memory of its waves."""
+        return self.water.flat and (self.seakeeping is None or self.water.current is None)
 
     def _motion(self, t: float, world: Array, others: Array, faces: Any) -> tuple[Motion, Motion, Array, Any]:
         """The water at the nodes ``world`` (n, 3) m of ``faces`` (m, 3 or 6) and at ``others`` (k, 3) m, propulsors
@@ -510,9 +577,6 @@ class Afloat(Environment):
             # pitch a fast hull out of the water; in reality its stern sheds the flow.
             x, y, turn = momentum[3], momentum[4], omega[2]
             forces.wrench[2:5] += x * through[4] - y * through[3], y * turn, -x * turn
-            if self.seakeeping is not None:
-                waves = self.seakeeping.wrench(t, R_wb, position, np.concatenate([omega, velocity]), through)
-                forces.wrench += forces.immersion * waves
             if self.seakeeping is None or not self.seakeeping.complete:
                 # the water's own acceleration, in the axes that turn with the body, carries the hull along
                 change = water.acceleration[n:] @ R_wb - cross(omega, around)
@@ -523,11 +587,15 @@ class Afloat(Environment):
         if self._propulsion is not None:
             depth = depths / hull.propulsor_size + 0.5
             flow = flows[:n].mean(axis=0) if n else np.zeros(3)
-            through = np.concatenate([omega, velocity - flow])
-            forces.wrench += self._propulsion(controls, through, np.clip(depth, 0, 1))[0]
+            past = np.concatenate([omega, velocity - flow])
+            forces.wrench += self._propulsion(controls, past, np.clip(depth, 0, 1))[0]
         if self._windage is not None:
             air = wind @ R_wb
             forces.wrench += self._windage(np.concatenate([omega, velocity - air]))[0]
+        forces.instant = forces.wrench
+        if self.seakeeping is not None:
+            waves = self.seakeeping.wrench(t, R_wb, position, np.concatenate([omega, velocity]), through)
+            forces.wrench = forces.instant + forces.immersion * waves
 
     @cached_property
     def _propulsion(self) -> Any:
@@ -556,11 +624,13 @@ class Afloat(Environment):
 
 @dataclass
 class Forces:
-    """The effect of water and wind at an instant: body ``wrench`` (6,), displaced ``volume`` m^3, ``immersion`` 0 to 1,
-    and ``speeds`` m/s of the hull's surface: into the water, averaged over its area from above, and the greatest
-    through it; ``lift`` is the law of its patches at its speed."""
+    """The effect of water and wind at an instant: body ``wrench`` (6,), its part ``instant`` (6,) without the waves of
+    `Seakeeping`, displaced ``volume`` m^3, ``immersion`` 0 to 1, and ``speeds`` m/s of the hull's surface: into the
+    water, averaged over its area from above, and the greatest through it; ``lift`` is the law of its patches at its
+    speed."""
 
     wrench: Array
+    instant: Array
     volume: float
     immersion: float
     speeds: tuple[float, float]
