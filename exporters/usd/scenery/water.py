@@ -87,6 +87,7 @@ def write_water(take: Take, folder: Path, progress: Callable[[float], object] = 
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
     frames = frames if take.usd.moving_water else frames[:1]
     spray: list[Drops] = []
+    slopes = _unseen_slopes(water, grid)
     for k, (frame, shown) in enumerate(zip(frames.tolist(), surfaces(take, grid, frames), strict=True)):
         place, normals, foam, lowered, drops = shown
         progress(k / len(frames))
@@ -98,7 +99,7 @@ def write_water(take: Take, folder: Path, progress: Callable[[float], object] = 
         for name, values in (("foam", foam), (LOWERED, lowered)):
             halves = Vt.HalfArray.FromNumpy(values.astype(np.float16))
             layer.SetTimeSample(f"/water/surface.primvars:{name}", frame, halves)
-        set_foam(layer, "/water/surface", frame, patches(grid.xy.T, foam, grid.cells))
+        set_foam(layer, "/water/surface", frame, patches(grid.xy.T, foam, grid.cells), slopes)
     if take.usd.spray:
         author_spray(stage, frames, spray, rest.mean(axis=0))
     layer.Save()
@@ -189,10 +190,7 @@ def _undisturbed(water: Water, grid: Grid) -> Callable[[float], Array]:
         return lambda t: np.column_stack([xy, water.level + share * (water.height(inside, t) - water.level)])
     if not isinstance(waves, Waves):
         return lambda t: np.column_stack([xy, water.height(xy, t)])
-    theta = xy @ waves.number.T + waves.phase
-    least, most = CARRIED
-    turns = np.maximum(*(np.abs(step @ waves.number.T) for step in grid.steps))  # of phase from point to point
-    carried = np.clip((2 * np.pi / np.maximum(turns, 1e-9) - least) / (most - least), 0.0, 1.0)
+    theta, carried = xy @ waves.number.T + waves.phase, _carried(waves, grid)
     cos, sin = carried * np.cos(theta), carried * np.sin(theta)
 
     def at(t: float) -> Array:
@@ -204,6 +202,22 @@ def _undisturbed(water: Water, grid: Grid) -> Callable[[float], Array]:
         return np.column_stack([xy - left * drift, water.level + left[:, 0] * z])
 
     return at
+
+
+def _carried(waves: Waves, grid: Grid) -> Array:
+    """Share (n, k) of each wave that the mesh shows at each of its points."""
+    least, most = CARRIED
+    turns = np.maximum(*(np.abs(step @ waves.number.T) for step in grid.steps))  # of phase from point to point
+    return np.asarray(np.clip((2 * np.pi / np.maximum(turns, 1e-9) - least) / (most - least), 0.0, 1.0))
+
+
+def _unseen_slopes(water: Water, grid: Grid) -> Array:
+    """Mean square slope (n,) of the waves that the mesh does not show."""
+    waves = water.surface
+    if not isinstance(waves, Waves):
+        return np.zeros(len(grid.xy))
+    each = (waves.amplitude * np.hypot(*waves.number.T)) ** 2 / 2
+    return np.asarray(waves.share(grid.xy)[:, 0] ** 2 * ((1 - _carried(waves, grid) ** 2) @ each))
 
 
 def floating(take: Take, frames: Array) -> dict[str, Floating]:

@@ -63,12 +63,17 @@ def author_foam(mesh: Any) -> None:
         primvar.CreateIndicesAttr()
 
 
-def set_foam(layer: Any, path: str, frame: float, white: Array) -> None:
-    """Write how ``white`` (n,) foam makes the surface in a frame, see `patches`, as indices of both its primvars."""
+def set_foam(layer: Any, path: str, frame: float, white: Array, slopes: Array) -> None:
+    """Write how ``white`` (n,) foam makes the surface in a frame, see `patches`, as indices of both its primvars.
+
+    ``slopes`` (n,): mean square slope of the waves that the mesh does not show. They make the surface rough: without
+    them, distant water would be a mirror as bright as the sky, and foam a dark spot in it.
+    """
     from pxr import Vt
 
-    shade = np.round(white * (SHADES - 1)).astype(np.int32)
-    for name in ("displayColor", "roughness"):
+    clear = ((ROUGH[0] ** 4 + slopes) ** 0.25 - ROUGH[0]) / (ROUGH[1] - ROUGH[0])  # roughness^4: a mean square slope
+    for name, share in (("displayColor", white), ("roughness", np.clip(np.maximum(white, clear), 0.0, 1.0))):
+        shade = np.round(share * (SHADES - 1)).astype(np.int32)
         layer.SetTimeSample(f"{path}.primvars:{name}:indices", frame, Vt.IntArray.FromNumpy(shade))
 
 
