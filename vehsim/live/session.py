@@ -112,9 +112,9 @@ class Session:
         self.shot: Shot | None = None
         self.take: Take | None = None
         self.problems: list[dict[str, Any]] = []
-        """Errors and warnings for the page: ``text``; ``fixes``: keys and values that would work together; ``offer``: how
-        the page says them; ``keeps``: the vehicle whose dragged motion can be kept; ``restores``: that whose earlier
-        motion can."""
+        """Errors and warnings for the page: ``text``; ``fixes``: keys and values that would work together; ``offer``:
+        how the page says them; ``keeps``: the vehicle whose dragged motion can be kept; ``restores``: that whose
+        earlier motion can."""
         self.settings: list[Setting] = []
         self.notes: list[dict[str, Any]] = []
         """Those of the last valid text: ``frame``, ``text``, ``position`` or None."""
