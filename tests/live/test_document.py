@@ -1,10 +1,12 @@
 """The document of a live session: what is not edited stays as it was written, and nothing is lost."""
 
+import errno
 import tomllib
 
 import pytest
 
 from vehsim.errors import InputError
+from vehsim.live import document as live_document
 from vehsim.live.document import Document
 from vehsim.live.settings import handles
 
@@ -165,6 +167,42 @@ def test_changes_of_others_are_not_overwritten(path):
     with pytest.raises(InputError, match="changed by another program"):
         document.save()
     assert path.read_text().endswith("somebody else\n") and document.autosave.exists()
+    path.write_text("[[broken")
+    with pytest.raises(InputError, match="changed by another program"):
+        document.save()
+    path.unlink()  # as the message advises
+    document.save()
+    assert path.read_text() == document.text and not document.autosave.exists()
+
+
+def test_an_autosave_that_cannot_be_written_ends_nothing(path, monkeypatch):
+    """Such as in a folder that is read-only; the next one that can be is written."""
+    document, real = Document(path), live_document._write
+
+    def full(path, text):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(live_document, "_write", full)
+    place(document, 0, 1, [1.0, 2.0, 3.0])
+    assert document.changed and document.unkept == "No space left on device" and not document.autosave.exists()
+    monkeypatch.setattr(live_document, "_write", real)
+    place(document, 0, 1, [1.0, 2.0, 4.0])
+    assert not document.unkept and document.autosave.read_text() == document.text
+
+
+def test_a_change_is_retracted_for_good_and_files_are_named(path):
+    document, odd = Document(path), 'a "b" ö.npz'
+    document.put("vehicle[0].motion.guess", odd)
+    assert document.names(odd) and not document.names("b")
+    document.retract()
+    assert not document.names(odd) and not document.redoable and document.text == TEXT
+    document.put("vehicle[0].motion.guess", odd)
+    document.save()
+    document.undo()
+    document.save()
+    assert document.names(odd)  # a copy of the file may have been made
+    path.write_text('[x]\nguess = "c.npz"\n')
+    assert document.names("c.npz")
 
 
 def test_tables_are_counted_when_their_indices_change(path):

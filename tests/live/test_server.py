@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 import urllib.error
 import urllib.request
 from contextlib import asynccontextmanager
@@ -26,7 +27,7 @@ from vehsim.errors import InputError
 from vehsim.live import edit
 from vehsim.live import server as live_server
 from vehsim.live import session as live_session
-from vehsim.live.messages import Drag, Place
+from vehsim.live.messages import Drag, Place, Step
 from vehsim.live.server import Server
 from vehsim.live.session import Session
 from vehsim.planning import drafts
@@ -428,15 +429,20 @@ def test_a_dragged_motion_that_was_not_found_again_is_kept_as_guess(path):
     asyncio.run(play())
 
 
+@pytest.mark.parametrize("earlier", [False, True])
 @pytest.mark.parametrize("helps", [True, False])
-def test_a_release_that_would_be_a_stunt_starts_from_the_dragged_motion(path, monkeypatch, helps):
-    """If that does not help either, the file stays as it was."""
-    path.write_text(SHOT.replace("frame = 1073", "frame = 1169").replace("segments = 8", "segments = 16"))
+def test_a_release_that_would_be_a_stunt_starts_from_the_dragged_motion(path, monkeypatch, helps, earlier):
+    """If that does not help either, the file stays as it was. An ``earlier`` guess of the file stays beside it."""
+    own, text = path.with_name("own.npz"), SHOT.replace("frame = 1073", "frame = 1169").replace("= 8", "= 16", 1)
+    if earlier:
+        Shot.from_dict(tomllib.loads(text)).solve().clips["car"].save(own)
+        text = text.replace("segments = 16", 'segments = 16\nguess = "own.npz"')
+    path.write_text(text)
     session, real = Session(path, path.parent, lambda *_: None), Session.solve
 
     def solve(self):
         shown = real(self)
-        guessed = "guess" in self.document.text
+        guessed = "car.guess" in self.document.text
         if self.take is not None and not (guessed and helps):
             self.take.report["vehicles"]["car"]["character"] = "stunt"
         return shown
@@ -455,9 +461,15 @@ def test_a_release_that_would_be_a_stunt_starts_from_the_dragged_motion(path, mo
     if helps:
         assert 'guess = "drive.car.guess.001.npz"' in session.document.text and 'driven as \\"stunt\\"' in said
         assert Shot.from_dict(session.document.data, path.parent).solve().report["vehicles"]["car"]["success"]
+        assert ("own.npz" in said) == earlier and "undo" in said
+        session.undo(Step(kind="undo"))
     else:
-        assert session.document.text == before and "its guess now" not in said
+        assert "its guess now" not in said and not session.document.redoable
+    assert session.document.text == before
+    guess = path.with_name("drive.car.guess.001.npz")
+    assert guess.exists()  # for redo, if it helped
     session.close()
+    assert not guess.exists() and own.exists() == earlier
 
 
 def test_a_difference_that_comes_from_the_grid_offers_no_guess(path, monkeypatch):
@@ -1099,6 +1111,35 @@ def test_a_browser_that_does_not_read_holds_up_nothing(monkeypatch):
     asyncio.run(play())
 
 
+def test_where_nothing_can_be_written_the_page_works(path, monkeypatch):
+    """Such as in a folder that is read-only: the page says that changes are not kept."""
+    session = Session(path, path.parent, lambda *_: None)
+    session.solve()
+    assert "cannot be written" not in texts(session.state)
+
+    def refused(path, text):
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr("vehsim.live.document._write", refused)
+    session.place(Place(kind="place", key=MARK, position=[9.0, 2.0, 0.0]))
+    assert session.solved and "drive.toml.autosave cannot be written: Read-only file system" in texts(session.state)
+    session.undo(Step(kind="undo"))
+    assert session.solved and "cannot be written" not in texts(session.state)
+    session.close()
+
+
+def test_a_file_whose_name_is_no_text_is_opened(tmp_path):
+    path = tmp_path / "dr\udcffive.toml"
+    path.write_text(SHOT)
+
+    async def play():
+        async with served(path) as address:
+            answer = await asyncio.to_thread(urllib.request.urlopen, f"http://{address}")
+            assert b"<title>dr?ive</title>" in answer.read()
+
+    asyncio.run(play())
+
+
 def test_an_error_of_the_system_does_not_end_the_session(path, monkeypatch):
     """Such as a full disk, in the first solve: the page says it, and the next solve works."""
     solve, failed, opened = Session.solve, [], threading.Event()
@@ -1117,6 +1158,7 @@ def test_an_error_of_the_system_does_not_end_the_session(path, monkeypatch):
             opened.set()
             refused = await page.until("refused")
             assert refused["text"] == "/scratch: No space left on device"
+            assert live_server._described(OSError(errno.ENOSPC, "No space left on device")) == "No space left on device"
             await page.send(kind="undo")
             assert await page.until("scene")
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +30,19 @@ class Document:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        _, self._saved = read_toml(path)
-        self._texts = [self._saved]
+        self._saved = [read_toml(path)[1]]
+        """The text of the file when it was opened, then those that were saved."""
+        self._texts = list(self._saved)
         self._at = 0
         self.tables = 0
         """It grows when tables are added to a list or removed, because keys with an index then name others."""
         self.recovered = False
         """Whether it continues an interrupted session."""
+        self.unkept = ""
+        """Why the present text is not in the autosave, such as a full disk; empty if it is."""
         if self.autosave.is_file():
             _, text = read_toml(self.autosave)
-            self.recovered = text != self._saved
+            self.recovered = text != self._saved[-1]
             self._texts += [text] * self.recovered
             self._at = len(self._texts) - 1
 
@@ -58,7 +62,7 @@ class Document:
     @property
     def changed(self) -> bool:
         """Whether it differs from the file."""
-        return self.text != self._saved
+        return self.text != self._saved[-1]
 
     @property
     def undoable(self) -> bool:
@@ -101,18 +105,35 @@ class Document:
     def undo(self) -> None:
         self._go(max(self._at - 1, 0))
 
+    def retract(self) -> None:
+        """Undo the last change for good."""
+        self.undo()
+        del self._texts[self._at + 1 :]
+
     def redo(self) -> None:
         self._go(min(self._at + 1, len(self._texts) - 1))
 
     def save(self) -> None:
-        """Write the file. Raises ``InputError`` if somebody else changed it since it was read."""
-        _, there = read_toml(self.path)
-        if there != self._saved:
+        """Write the file. Raises ``InputError`` if somebody else changed it since it was read; not if it is gone."""
+        if self.path.exists() and not self._is_there():
             remedy = f"your changes are in {self.autosave.name}: compare, then delete one of them"
             raise InputError("was changed by another program since it was opened", remedy, file=self.path)
         _write(self.path, self.text)
-        self._saved = self.text
+        self._saved.append(self.text)
         self._keep()
+
+    def names(self, file: str) -> bool:
+        """Whether a value of the present text is ``file``, or of any that was saved, or of what is in the file now."""
+        texts = {self.text, *self._saved}
+        with suppress(InputError):
+            texts.add(read_toml(self.path)[1])
+        return any(file in _values(tomllib.loads(text)) for text in texts)
+
+    def _is_there(self) -> bool:
+        """Whether the file has the text that was read or saved last."""
+        with suppress(InputError):  # which another program broke
+            return read_toml(self.path)[1] == self._saved[-1]
+        return False
 
     def _push(self, text: str) -> None:
         if text != self.text:
@@ -129,11 +150,15 @@ class Document:
         self._keep()
 
     def _keep(self) -> None:
-        """Write the autosave, or remove it if there is nothing to save."""
-        if self.changed:
-            _write(self.autosave, self.text)
-        else:
-            self.autosave.unlink(missing_ok=True)
+        """Write the autosave, or remove it if there is nothing to save. The session goes on if that fails."""
+        try:
+            if self.changed:
+                _write(self.autosave, self.text)
+            else:
+                self.autosave.unlink(missing_ok=True)
+            self.unkept = ""
+        except OSError as error:
+            self.unkept = error.strerror or str(error)
 
 
 def _lengths(data: Any) -> Iterator[int]:
@@ -144,6 +169,15 @@ def _lengths(data: Any) -> Iterator[int]:
             yield len(value)
         if isinstance(value, dict | list):
             yield from _lengths(value)
+
+
+def _values(data: Any) -> Iterator[Any]:
+    """All values that are no tables or lists."""
+    if isinstance(data, dict | list):
+        for value in data.values() if isinstance(data, dict) else data:
+            yield from _values(value)
+    else:
+        yield data
 
 
 def write(data: Any, key: str, value: Any, table: Callable[[], Any] = dict) -> None:

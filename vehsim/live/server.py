@@ -108,7 +108,8 @@ class Server:
             return _response(HTTPStatus.FORBIDDEN, b"forbidden")
         if where.path == "/":
             text = page(self._session.document.path.stem, scripts=SCRIPTS)
-            return _response(HTTPStatus.OK, text.encode(), "text/html; charset=utf-8")
+            shown = text.encode(errors="replace")  # a file's name may be no text
+            return _response(HTTPStatus.OK, shown, "text/html; charset=utf-8")
         if where.path == "/favicon.ico":
             return _response(HTTPStatus.NO_CONTENT, b"")
         return None if where.path == "/socket" else _response(HTTPStatus.NOT_FOUND, b"not found")
@@ -466,7 +467,7 @@ class Browser:
 
 
 def _described(error: OSError) -> str:
-    return f"{error.filename}: {error.strerror}"
+    return f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
 
 
 def _kind(block: bytes) -> str:

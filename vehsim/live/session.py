@@ -150,6 +150,8 @@ class Session:
         """The characters of that motion."""
         self._uncompared: list[str] = []
         """The vehicles whose motion was solved after a drag, but not compared with the dragged one."""
+        self._guesses: list[Path] = []
+        """The dragged motions that were saved."""
         self._kinematics: Kinematics | None = None
         self._scenes = tempfile.TemporaryDirectory(prefix="vehsim-live-")
 
@@ -159,7 +161,11 @@ class Session:
         self.superseded.set()
 
     def close(self) -> None:
+        """Remove what nobody needs any more: guesses that were undone and in no saved text, and the scene."""
         self._scenes.cleanup()
+        for path in self._guesses:
+            if not self.document.names(path.name):
+                path.unlink(missing_ok=True)
 
     # ------------------------------------------------------------ what the page knows
 
@@ -175,7 +181,7 @@ class Session:
             "undo": document.undoable,
             "redo": document.redoable,
             "solved": self.solved,
-            "problems": [*self.problems, *self._driven_instead()],
+            "problems": [*self.problems, *self._driven_instead(), *self._not_kept()],
             "handles": [self._handle_shown(handle) for handle in self.handles],
             "unplaced": self._unplaced(),
             "blocked": self._blocked(),
@@ -436,15 +442,17 @@ class Session:
         harder = {name: self._character(name) for name in names if self.solved and self._is_harder(name)}
         if not harder:
             return None
+        before = {name: self._planned(name)[1].motion.guess for name in harder}
         shown = self._keep(list(harder))
         if shown is None or all(map(self._is_harder, harder)):  # the guesses do not help
             said = self.problems
-            self.document.undo()
+            self.document.retract()
             shown, self.problems = self.solve(), said
             return shown
         for name, found in harder.items():
             text = f'{name}: the dragged motion is its guess now, because without that it would be driven as "{found}"'
-            self.problems.append({"text": f"{text}; undo removes the guess"})
+            back = "removes it" if before[name] is None else f'brings "{before[name]}" back'
+            self.problems.append({"text": f"{text}; undo {back}"})
         return shown
 
     def _character(self, name: str) -> str:
@@ -469,6 +477,7 @@ class Session:
         for name in names:
             path = self._unused(f"{self.document.path.stem}.{name}.guess").with_suffix(".npz")
             drawn[name].save(path)
+            self._guesses.append(path)
             guesses[f"vehicle[{self._planned(name)[0]}].motion.guess"] = path.name
         self.document.change(guesses.items())
         shown = self.solve()
@@ -665,6 +674,12 @@ class Session:
                 method = self._replaced[table.name]["method"]
                 text = f'{table.name}: its motion is the recording {table.motion.file} now, not that of "{method}"'
                 yield {"text": text, "restores": table.name}
+
+    def _not_kept(self) -> Iterator[dict[str, Any]]:
+        """What the page says where the autosave cannot be written."""
+        if self.document.changed and self.document.unkept:
+            text = f"{self.document.autosave.name} cannot be written: {self.document.unkept}"
+            yield {"text": f"{text}; until you save, your changes last only as long as vehsim runs"}
 
     def restore(self, wanted: Restore) -> bytes | None:
         """Give a vehicle the motion back that it had before it was driven, and `solve`; its recordings stay."""
