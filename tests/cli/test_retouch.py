@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,9 +66,27 @@ def bump(frame: float) -> float:
     return float(0.3 * (16 * share**2 * (1 - share) ** 2) ** 1.5)
 
 
+def bend(track: Any) -> None:
+    """Add the bump to a curve."""
+    from pxr import Ts
+
+    spline = Ts.Spline("double")
+    for frame in range(1001, 1098, 4):
+        knot = Ts.Knot("double")
+        knot.SetTime(frame)
+        knot.SetValue(float(track.Get(frame)) + bump(frame))
+        knot.SetNextInterpolation(Ts.InterpCurve)
+        slope = (bump(frame + 1) - bump(frame - 1)) / 2
+        for side in ("Pre", "Post"):
+            getattr(knot, f"Set{side}TanWidth")(4 / 3)
+            getattr(knot, f"Set{side}TanSlope")(slope)
+        spline.SetKnot(knot)
+    track.SetSpline(spline)
+
+
 @pytest.mark.parametrize("variant", ["exact", "curves"])
 def test_edited_curves_come_back_as_motion(delivery: Path, tmp_path: Path, variant: str) -> None:
-    from pxr import Gf, Ts, Usd
+    from pxr import Gf, Usd
 
     stage = over(delivery, tmp_path / "edited.usda", variant)
     assert isinstance(stage, Usd.Stage)
@@ -79,18 +98,7 @@ def test_edited_curves_come_back_as_motion(delivery: Path, tmp_path: Path, varia
             track.Set(Gf.Vec3d(place[0], place[1] + bump(frame), place[2]), frame)
     else:
         track = prim.GetAttribute("xformOp:translateY")
-        spline = Ts.Spline("double")
-        for frame in range(1001, 1098, 4):
-            knot = Ts.Knot("double")
-            knot.SetTime(frame)
-            knot.SetValue(float(track.Get(frame)) + bump(frame))
-            knot.SetNextInterpolation(Ts.InterpCurve)
-            slope = (bump(frame + 1) - bump(frame - 1)) / 2
-            for side in ("Pre", "Post"):
-                getattr(knot, f"Set{side}TanWidth")(4 / 3)
-                getattr(knot, f"Set{side}TanSlope")(slope)
-            spline.SetKnot(knot)
-        track.SetSpline(spline)
+        bend(track)
     stage.GetRootLayer().Save()
 
     arguments = ["retouch", str(delivery), "--edit", str(tmp_path / "edited.usda"), "--out", str(tmp_path / "new")]
@@ -276,3 +284,23 @@ def test_a_check_logs_problems_as_data(tmp_path: Path, capsys: pytest.CaptureFix
     assert cli.run(["check", str(tmp_path / "shot.toml"), "--log", "json"]) == cli.WRONG_INPUT
     (event,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert event["event"] == "refused" and event["problem"]["key"].startswith("vehicle[0].motion.commands")
+
+
+def test_curves_of_an_open_shutter_go_on_for_a_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Curves of a delivery with motion blur have keys a frame before and after the shot: they are no edit."""
+    from pxr import Usd
+
+    (tmp_path / "shot.toml").write_text(SHOT + "shutter = [-0.25, 0.25]\n")
+    assert cli.run(["export", str(tmp_path / "shot.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    stage = over(tmp_path / "out" / "drive", tmp_path / "edited.usda", "curves")
+    assert isinstance(stage, Usd.Stage)
+    prim = stage.GetPrimAtPath(PRIM)
+    keys = [*prim.GetAttribute("xformOp:translateX").GetSpline().GetKnots().keys()]
+    assert (min(keys), max(keys)) == (1000, 1098)
+    bend(prim.GetAttribute("xformOp:translateY"))
+    stage.GetRootLayer().Save()
+    capsys.readouterr()
+    edit = ["--edit", str(tmp_path / "edited.usda"), "--out", str(tmp_path / "new"), "--log", "json"]
+    assert cli.run(["retouch", str(tmp_path / "out" / "drive"), *edit]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert not [event for event in events if event["event"] == "warning" and "beyond" in event["message"]]

@@ -223,7 +223,7 @@ def shot_with(change: dict[str, Any]) -> dict[str, Any]:
     motion = {"method": "plan", "segments": 16, "marks": marks}
     return {
         "shot": {"schema": 1, "name": "blocked"},
-        "vehicle": [{"name": "heli", "asset": "helicopter", "motion": {"method": "plan", "marks": marks}}],
+        "vehicle": [{"name": "heli", "asset": "helicopter", "motion": motion}],
     }
 
 

@@ -155,12 +155,15 @@ def _beyond(edited: Blocking, clip: Clip, delivered: Clip) -> list[float]:
     from vehsim.lie.quaternions import matrices
     from vehsim.planning.retouch import MOVED, TURNED
 
-    times = (edited.frames - delivered.start_frame) / float(delivered.fps)
-    shown = delivered.at(np.clip(times, 0.0, delivered.times[-1]))
-    outside = (edited.frames < clip.start_frame) | (edited.frames > clip.end_frame)
-    moved = np.linalg.norm(edited.positions - shown.positions, axis=1) > MOVED
+    frames, first, last = edited.frames, delivered.start_frame, delivered.end_frame
+    outside = (frames < clip.start_frame) | (frames > clip.end_frame)
+    outside &= ~np.isin(frames, (first - 1, last + 1))  # with an open shutter, delivered curves continue for a frame
+    times = np.clip((frames - first) / float(delivered.fps), 0.0, delivered.times[-1])
+    times, rows = np.unique(times, return_inverse=True)
+    shown = delivered.at(times)
+    moved = np.linalg.norm(edited.positions - shown.positions[rows], axis=1) > MOVED
     # the trace of a rotation by an angle is 1 + 2 cos(angle)
-    turned = np.einsum("nij,nij->n", edited.rotations, matrices(shown.orientations)) < 1 + 2 * np.cos(TURNED)
+    turned = np.einsum("nij,nij->n", edited.rotations, matrices(shown.orientations)[rows]) < 1 + 2 * np.cos(TURNED)
     return [float(frame) for frame in edited.frames[(moved | turned) & outside]]
 
 
