@@ -146,4 +146,4 @@ class Rest:
     def _together(self, each: Mask) -> Mask:
         """Of each body (n,), whether ``each`` holds for all that lean on each other."""
         islands = np.asarray(self._holding.islands)
-        return np.asarray(~np.isin(islands, islands[~each]))
+        return np.asarray(~(np.equal.outer(islands, islands) & ~each).any(axis=1))

@@ -94,7 +94,9 @@ class Law:
     def at(self, speed: float) -> Lift:
         """The law at ``speed`` m/s through the water; astern there is only resistance."""
         fore = max(speed, 0.0)
-        rise = 0.0 if self.rise is None else max(self.rise(fore), 0.0)
+        rise = 0.0 if self.rise is None else self.rise(fore)
+        if rise < 2 * FAINT:
+            rise = max(2 * (rise - FAINT), 0.0)
         return Lift(self.planing(fore), self.vented(fore), self.rate(speed), self.transom, rise)
 
 
@@ -126,6 +128,8 @@ WAGNER = np.pi / 2 - 1
 PEAKED = 12 * (2 / np.pi - 0.5)
 """Growth of the pressure from the keel to the edge of the water, over its mean: puts its centre at 2 / pi of the width,
 as Wagner's pressure 1 / sqrt(1 - s^2) does."""
+FAINT = 1e-3
+"""At a slow hull, water would rise by less than this share of its depth: it does not rise at all, which saves time."""
 MOST = 0.3
 """Largest trim at rest, rad."""
 SLOW = 0.4
