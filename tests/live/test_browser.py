@@ -436,7 +436,10 @@ def test_a_note_is_written_pinned_and_deleted(tmp_path):
 
 
 def test_a_car_is_driven_with_keys_held_down(tmp_path):
-    path = written(tmp_path, SHOT)
+    """The playhead and the other vehicles move with it."""
+    moving = "position = [0, 6, 0]\nvelocity = [3, 0, 0]\n"
+    other = '[[vehicle]]\nname = "other"\nasset = "car"\n[vehicle.motion]\nmethod = "simulate"\nduration = 3\n'
+    path = written(tmp_path, f"{SHOT}{other}[vehicle.motion.start]\n{moving}")
 
     async def play():
         async with opened(path) as page:
@@ -448,6 +451,10 @@ def test_a_car_is_driven_with_keys_held_down(tmp_path):
             await page.hold("w", "KeyW", True)
             await page.until("vehsim.drive.values[0] === 1 && vehsim.viewer.orbit.target.x > 0.5")
             await page.until(f"vehsim.viewer.camera.position.x > {before}")
+            head = "parseFloat(document.querySelector('#track .head').style.left)"
+            assert await page.value(f"{head} > 0 && Number(document.getElementById('frame').value) > 1001")
+            group = "vehsim.viewer.motion.groups.findIndex((one) => one.vehicle === 'other')"
+            assert await page.value(f"vehsim.viewer.groups[{group}].matrix.elements[12]") > 0.1
             await page.hold("w", "KeyW", False)
             await page.hold("a", "KeyA", True)
             await page.until("vehsim.drive.values[0] === 0 && vehsim.drive.values[1] === 1")

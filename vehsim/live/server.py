@@ -339,6 +339,10 @@ class Server:
         """Drive until anything else is requested, or the browser that drives has gone."""
         session, loop, driver = self._session, self._loop, self._browsers[:1]
         assert loop is not None
+        if session.waits_for_water and self._water is None:
+            await self._draw_water()  # else a boat would ride waves that are not those of the picture
+            if self._jobs or self._drag:
+                return
 
         def ended() -> bool:
             gone = not driver or self._browsers[:1] != driver

@@ -660,7 +660,7 @@ class Session:
         shown = self.solve()
         if self.solved:
             self.take.clips[name].save(path)
-        if offered[name]["continues"]:
+        if offered[name]["continues"] and name not in self._replaced:  # else `state` says so
             text = f"{name}: its motion is {path.name} now; {before['file']} stays in the list of recordings"
             self.problems.append({"text": text})
         if made.problem is not None:

@@ -87,6 +87,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       this.through = header.cameras.length ? header.cameras.length - 1 : -1; // a cut comes last
       this.shown = { paths: true, ghosts: false, cameras: false };
       this.stale = true;
+      this.live = null; // the frame of a drive
       this.over = new AbortController();
       this._makeRenderer();
       this._makeLight();
@@ -343,15 +344,23 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       this.show(this.frame);
     }
 
-    /** A driven vehicle as it is now, with the orbit's camera on a rope behind it. */
+    /** A driven vehicle as it is now, among the others in that frame, with the orbit's camera on a rope behind it. */
     setLive(header, array) {
+      const k = this._index(Math.round(header.frame));
+      this.groups.forEach((group, g) => {
+        setPose(group.matrix, this.poses[g], k);
+        group.matrixWorldNeedsUpdate = true;
+      });
       for (const group of header.groups) {
         setPose(this.groups[group.index].matrix, array(group.poses), 0);
         this.groups[group.index].matrixWorldNeedsUpdate = true;
       }
-      const k = this._index(Math.round(header.frame));
       if (this.water) this.water.show(k);
       this._showCompared(k);
+      if (this.live !== Math.floor(header.frame)) {
+        this.live = Math.floor(header.frame);
+        this.timeline.draw();
+      }
       const place = new THREE.Vector3(...header.place);
       if (!this.trail) {
         this.trail = { points: [], line: new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: ACCENT, fog: false })) };
@@ -384,7 +393,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
     /** Show the solved motion again after a drive, and the vehicle where it is in the present frame. */
     endLive() {
       if (this.trail) this.scene.remove(this.trail.line);
-      this.trail = null;
+      this.trail = this.live = null;
       const moved = (this.subject() || this.orbit.target.clone()).sub(this.orbit.target);
       this.camera.position.add(moved);
       this.orbit.target.add(moved);
@@ -859,7 +868,8 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
     }
 
     draw() {
-      const { first, last, frame } = this.viewer, share = (frame - first) / Math.max(last - first, 1);
+      const { first, last } = this.viewer, frame = this.viewer.live ?? this.viewer.frame;
+      const share = (Math.min(frame, last) - first) / Math.max(last - first, 1);
       this.track.querySelector(".head").style.left = `${100 * share}%`;
       if (document.activeElement !== element("frame")) element("frame").value = frame;
       const name = element("title");
@@ -877,7 +887,8 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       canvas.height = height * ratio;
       const ink = canvas.getContext("2d");
       ink.scale(ratio, ratio);
-      ink.globalAlpha = this.viewer.drafted ? 0.4 : 1;
+      const live = this.viewer.live, before = live === null ? this.viewer.drafted : "before the drive";
+      ink.globalAlpha = before ? 0.4 : 1;
       const others = this.viewer.compared.flatMap(({ color, curves }) => curves
         .filter((other) => other.vehicle === curve.vehicle && other.name === curve.name).map(({ values }) => ({ color, values })));
       const every = [curve, ...others].flatMap(({ values }) => [Math.min(...values), Math.max(...values)]);
@@ -903,12 +914,12 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       ink.strokeStyle = "#ff8a3d";
       ink.lineWidth = 3;
       ink.stroke();
-      const now = this.viewer._index(this.viewer.frame), finest = 10 ** (Math.ceil(Math.log10(high - low)) - 4);
+      const now = this.viewer._index(live ?? this.viewer.frame), finest = 10 ** (Math.ceil(Math.log10(high - low)) - 4);
       const shown = (values) => `${Number((Math.round(values[now] / finest) * finest).toPrecision(4))} ${curve.unit}`;
       ink.fillStyle = "#fff";
       ink.fillRect(share * width - 0.5, 0, 1, height);
-      const whose = this.viewer.vehicles.length > 1 ? `${curve.vehicle} ` : "";
-      const text = `${whose}${curve.name} ${shown(curve.values)}${this.viewer.drafted && `, ${this.viewer.drafted}`}`;
+      const name = this.viewer.vehicles.length > 1 ? `${curve.vehicle} ${curve.name}` : curve.name;
+      const text = `${name} ${shown(curve.values)}${before && `, ${before}`}`;
       ink.font = "12px system-ui, sans-serif";
       const right = share * width + 8 + ink.measureText(text).width < width;
       ink.textAlign = right ? "left" : "right";

@@ -22,7 +22,7 @@
     #pads { position: absolute; left: 0; right: 0; bottom: 16px; display: flex; justify-content: center; gap: 40px;
       pointer-events: none; }
     .pad { position: relative; width: 120px; height: 120px; border-radius: 12px; background: rgba(20, 21, 24, 0.6);
-      border: 1px solid var(--line); touch-action: none; pointer-events: auto; cursor: grab; }
+      border: 1px solid var(--line); touch-action: none; user-select: none; pointer-events: auto; cursor: grab; }
     .pad i { position: absolute; left: 50%; top: 50%; width: 28px; height: 28px; margin: -14px; border-radius: 50%;
       background: var(--accent); pointer-events: none; }
     .pad span { position: absolute; left: 0; right: 0; text-align: center; font-size: 11px; color: var(--ink); }
