@@ -16,8 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 USD_SUFFIXES = {".usd", ".usda", ".usdc", ".usdz"}
+
+settings.register_profile("any load", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any load")  # how long a test takes depends on what else runs
 
 
 def pytest_configure(config: pytest.Config) -> None:

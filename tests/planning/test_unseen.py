@@ -106,6 +106,19 @@ def test_an_orientation_says_where_the_nose_points():
     assert heading_of(Mark(1, position=REST)) is None
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "heading", "seconds"), [(45, -1.7, -24, 62), (150, 7.5, 20, 200), (450, 22, 20, 600)]
+)
+def test_a_robot_drives_far_where_nothing_is_in_its_way(x, y, heading, seconds):
+    """Its motion linearised, turning many times over is a cheap way to move."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark(1001 + 24 * seconds, position=(x, y, 0), heading=heading, velocity=REST),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle("two_wheeled"), None, marks)
+    assert plan.success and plan.iterations < 40, plan.message
+
+
 def test_a_car_drives_three_kilometres_straight():
     """With segments of 90 m a zigzag costs less than a straight line, and from 12 m/s the solver steps too far."""
     marks = [Mark(1, position=REST, heading=0, velocity=REST)]

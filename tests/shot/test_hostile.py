@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vehsim import Shot
@@ -46,13 +46,13 @@ def attempt(data: Any) -> None:
             assert str(problem)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(VALUES)
 def test_any_data(data: Any) -> None:
     attempt(data)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=300)
 @given(st.sampled_from(SHOTS), st.data())
 def test_valid_shots_with_one_value_replaced(shot: dict[str, Any], draw: st.DataObject) -> None:
     data = copy.deepcopy(shot)
@@ -67,7 +67,7 @@ def test_valid_shots_with_one_value_replaced(shot: dict[str, Any], draw: st.Data
     attempt(data)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.sampled_from(SHOTS), KEYS, VALUES, st.integers(0, 3))
 def test_valid_shots_with_a_key_added(shot: dict[str, Any], key: str, value: Any, depth: int) -> None:
     data = copy.deepcopy(shot)
