@@ -114,7 +114,7 @@ class Document:
         self._go(min(self._at + 1, len(self._texts) - 1))
 
     def save(self) -> None:
-        """Write the file. Raises ``InputError`` if somebody else changed it since it was read; not if it is gone."""
+        """Write the file. Raises ``InputError`` if another program changed it since it was read; not if it is gone."""
         if self.path.exists() and not self._is_there():
             remedy = f"your changes are in {self.autosave.name}: compare, then delete one of them"
             raise InputError("was changed by another program since it was opened", remedy, file=self.path)

@@ -161,7 +161,7 @@ class Session:
         self.superseded.set()
 
     def close(self) -> None:
-        """Remove what nobody needs any more: guesses that were undone and in no saved text, and the scene."""
+        """Remove what is no longer needed: guesses that were undone and in no saved text, and the scene."""
         self._scenes.cleanup()
         for path in self._guesses:
             if not self.document.names(path.name):

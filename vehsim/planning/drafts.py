@@ -1,4 +1,4 @@
-"""A draft: the motion while somebody drags its marks. It is solved again from the last one, and nothing else is done.
+"""A draft: the motion while its marks are dragged. It is solved again from the last one, and nothing else is done.
 
 A plan is refined, certified and audited; a draft is one solution of the optimal control problem on a coarse grid.
 `plan` makes the motion that is exported.
@@ -36,7 +36,7 @@ from vehsim.world.world import World
 
 UNKNOWNS = 192
 """Largest number of controls of a draft, over all its segments: 96 segments with two controls, 48 with four. Enough for
-fast flight, and few enough to be solved while somebody drags; fewer than the plan's change the motion visibly."""
+fast flight, and few enough to be solved during a drag; fewer than the plan's change the motion visibly."""
 ITERATIONS = 60
 """Largest number of iterations of a solve: marks that cannot be met must not hold up those that follow."""
 GLANCE = Patience(5, unfinished=1e-2)
