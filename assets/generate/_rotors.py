@@ -19,8 +19,11 @@ from vehsim.assets.generate._shapes import (
     tube,
     wing,
 )
+from vehsim.assets.generate._usd import PartShape
 
-RADIUS, CHORD, BLADES, CONING = 5.35, 0.35, 3, np.radians(2.5)
+RADIUS, CHORD, BLADES, CONING = 5.35, 0.35, 3, np.radians(3.2)
+HINGE = 0.02 * RADIUS
+"""Distance of the blades' hinges from the axis, m: the stiffness of the hub follows from it."""
 TAIL_RADIUS, TAIL_CHORD = 0.93, 0.19
 
 
@@ -29,35 +32,44 @@ def about_z(turn: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def main_rotor() -> dict[str, Surface]:
-    """Three blades on a star-plate head, coned, leading edges counter-clockwise, and their blurred disc."""
-    blades, tips, cuffs, links = [], [], [], []
-    for k in range(BLADES):  # mirrored: seen from above this rotor turns counter-clockwise
-        turn = about_z(2 * np.pi * k / BLADES)
-        main, tip = blade()
-        blades.append(main.mirrored().turned(turn))
-        tips.append(tip.mirrored().turned(turn))
-        arm = tube([[0, 0.10, 0.0], [0, 0.42, 0.01], [0, 0.62, 0.025]], [0.085, 0.06, 0.055], 12, 8)
-        sleeve = box([0.15, 0.46, 0.085], [0, 0.66, 0.028], 0.02)
-        cuffs.append(join(arm, sleeve).mirrored().turned(turn))
+def main_rotor() -> PartShape:
+    """A star-plate head that carries three coned blades on their hinges, leading edges counter-clockwise."""
+    links = []
+    for k in range(BLADES):
         link = tube([[0.15, 0.10, -0.22], [0.20, 0.42, -0.02]], 0.016, 8)
         horn = box([0.26, 0.06, 0.035], [0.12, 0.44, 0.005], 0.01)
-        links.append(join(link, horn).mirrored().turned(turn))
+        links.append(join(link, horn).mirrored().turned(about_z(2 * np.pi * k / BLADES)))
     shaft = revolve([(0.0, -0.34), (0.075, -0.34), (0.075, -0.09), (0.10, -0.05), (0.0, -0.05)], 20)
     head = revolve([(0.0, -0.075), (0.15, -0.07), (0.20, -0.05), (0.20, 0.05), (0.15, 0.07), (0.0, 0.075)], 24)
     cap = revolve([(0.0, 0.16), (0.05, 0.155), (0.105, 0.12), (0.13, 0.06), (0.13, 0.0), (0.0, 0.0)], 20)
     swash = revolve(
         [(0.0, -0.245), (0.15, -0.245), (0.165, -0.235), (0.165, -0.215), (0.15, -0.205), (0.0, -0.205)], 24
     )
-    return by_material(
-        {"blade": join(*blades), "tip": join(*tips), "steel": join(*cuffs, head), "metal": join(shaft, swash, *links)},
-        {"dark": cap},
-        {
-            "blur_root": blur([0.55, 1.5], CONING),
-            "blur": blur([1.5, 5.0], CONING),
-            "blur_tip": blur([5.0, RADIUS], CONING),
-        },
-    )
+    look = by_material({"steel": head, "metal": join(shaft, swash, *links)}, {"dark": cap})
+    return PartShape(look=look, collision=rotor_hulls(look), parts=blades())
+
+
+def blades() -> dict[str, PartShape]:
+    """The blades, each with its cuff and its share of the blurred disc, in frames at their hinges: Y outward.
+
+    The shares meet at equal heights however far the blades cone, because each turns its edges by the same angle.
+    """
+    main, tip = (part.mirrored().turned(about_z(np.pi)) for part in blade())  # seen from above counter-clockwise
+    arm = tube([[0, 0.10, 0.0], [0, 0.42, 0.01], [0, 0.62, 0.025]], [0.085, 0.06, 0.055], 12, 8)
+    sleeve = box([0.15, 0.46, 0.085], [0, 0.66, 0.028], 0.02)
+    rings = {"blur_root": [0.55, 1.5], "blur": [1.5, 5.0], "blur_tip": [5.0, RADIUS]}
+    look = {
+        "blade": main,
+        "tip": tip,
+        "steel": join(arm, sleeve),
+        **{name: blur(radii, CONING, 24, share=(np.pi / 6, 5 * np.pi / 6)) for name, radii in rings.items()},
+    }
+    at_hinge = {name: surface.moved([0, -HINGE, 0]) for name, surface in look.items()}
+    turns = [180 + 360 * k / BLADES for k in range(BLADES)]
+    pivots = [about_z(np.radians(turn)) @ [0, HINGE, 0] for turn in turns]
+    return {
+        f"blade_{k + 1}": PartShape(tuple(pivots[k]), at_hinge, turn=(0.0, 0.0, turns[k] % 360)) for k in range(BLADES)
+    }
 
 
 def blade() -> tuple[Surface, Surface]:
@@ -78,17 +90,27 @@ def blade() -> tuple[Surface, Surface]:
     return main, tip
 
 
-def blur(radii: list[float], coning: float, sides: int = 72, axis: str = "z", height: float = 0.012) -> Surface:
-    """A ring between two ``radii`` that represents moving blades: a thin closed shell, visible from both sides."""
+def blur(
+    radii: list[float],
+    coning: float,
+    sides: int = 72,
+    axis: str = "z",
+    height: float = 0.012,
+    share: tuple[float, float] | None = None,
+) -> Surface:
+    """A ring between two ``radii`` that represents moving blades: a thin shell, visible from both sides.
+
+    ``share``: the angles between which it is made, rad; all of it by default.
+    """
     profile = [(r, r * np.tan(coning) + height / 2) for r in radii] + [
         (r, r * np.tan(coning) - height / 2) for r in radii[::-1]
     ]
     ring = np.array(profile + profile[:1])
-    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    around = np.stack([np.cos(turn), np.sin(turn), np.zeros(sides)], 1)
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False) if share is None else np.linspace(*share, sides + 1)
+    around = np.stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))], 1)
     rows = ring[:, None, :1] * around + ring[:, None, 1:] * np.array([0, 0, 1.0])
     rows = np.roll(rows, {"z": 0, "y": 2}[axis], axis=2)
-    surface = lattice(rows, caps=False, crease=30)
+    surface = lattice(rows, wrap=share is None, caps=False, crease=30)
     a, b, c = (surface.points[surface.faces[:, k]] for k in range(3))
     inward = np.einsum("ij,ij->", a, np.cross(b, c)) < 0
     return Surface(surface.points, -surface.normals, surface.faces[:, ::-1]) if inward else surface
@@ -113,13 +135,14 @@ def tail_rotor() -> dict[str, Surface]:
 
 
 def rotor_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
-    """Hulls of the main rotor at every angle: the coned disc of its blades, and the shaft with its links below it."""
+    """Hulls of the main rotor at every angle: the disc of its blades, coned by 2.6 to 4.0 degrees, as at 0.8 to 1.25 g,
+    and the shaft with its links below it."""
     everything = join(*look.values())
     low = everything.faces[(everything.points[everything.faces][:, :, 2] < -0.1).any(1)]
     turns = [about_z(turn) for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
     shaft = np.concatenate([everything.points[np.unique(low)] @ turn.T for turn in turns])
-    top, tip = 0.27, RADIUS + 0.005
-    disc = [(0.75, -0.1), (tip, 0.175), (tip, top), (0.2, top)]
+    base, top, tip = 0.22, 0.395, RADIUS + 0.008
+    disc = [(0.75, -0.1), (tip, base), (tip, top), (0.2, top)]
     return {"disc": _swept(disc, 32, "z"), "shaft": outer_hull(shaft * [1.01, 1.01, 1.0], 25.0)}
 
 

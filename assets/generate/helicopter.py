@@ -7,6 +7,8 @@ counter-clockwise, so its torque turns the nose right, and the tail rotor, on th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vehsim.assets.generate._crew import ABOARD, FLIGHT_WEAR, driver_materials
@@ -21,7 +23,7 @@ from vehsim.assets.generate._fuselage import (
     superellipses,
     windows,
 )
-from vehsim.assets.generate._rotors import main_rotor, rotor_hulls, tail_disc, tail_rotor
+from vehsim.assets.generate._rotors import main_rotor, tail_disc, tail_rotor
 from vehsim.assets.generate._shapes import (
     Field,
     Surface,
@@ -86,17 +88,16 @@ TOLERANCES = ((0.001, 0.002), (0.001, 0.001), (0.0002, 0.0002), (0.0002, 0.0002)
 
 
 def build() -> dict[str, PartShape]:
-    """The helicopter's parts by name: fuselage, main rotor, tail rotor."""
+    """The helicopter's parts by name: fuselage, main rotor with its blades, tail rotor."""
     slim, rest = (hull(), cowling(), fin(), landing_gear()), (stabiliser(), mast(), fittings())
     # hulls from the full-resolution surfaces, so that they do not depend on the decimation
     whole = by_material(*slim, *rest)
     inside = cabin(), pilot()
     slim = (slim[0], {name: split(s, below_hull)[1] for name, s in slim[1].items()}, *slim[2:])
     look = by_material(*(slimmed(s, t, blue=b) for s, (t, b) in zip(slim, TOLERANCES, strict=True)), *rest, *inside)
-    rotor = main_rotor()
     return {
         "fuselage": PartShape(look=look, collision=fuselage_hulls(whole)),
-        "main_rotor": PartShape(tuple(HUB), rotor, rotor_hulls(rotor)),
+        "main_rotor": replace(main_rotor(), pivot=tuple(HUB)),
         "tail_rotor": PartShape(tuple(TAIL_HUB), tail_rotor(), {"disc": tail_disc()}),
     }
 

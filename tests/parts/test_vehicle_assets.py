@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -33,7 +34,7 @@ LEG = {
     for end in ("front", "rear")
 }
 PARTS = {
-    "helicopter": {"fuselage", "main_rotor", "tail_rotor"},
+    "helicopter": {"fuselage", "main_rotor", "tail_rotor", *(f"main_rotor/blade_{k}" for k in (1, 2, 3))},
     "car": {"body", "wheel_rl", "wheel_rr", "steer_fl", "steer_fr", "steer_fl/wheel_fl", "steer_fr/wheel_fr"},
     "boat": {"hull", "outboard", "outboard/propeller"},
     "two_wheeled": {"body", "wheel_left", "wheel_right"},
@@ -46,6 +47,10 @@ PARTS = {
 }
 TRIANGLES = (8000, 33000)
 """Minimum and maximum number of triangles of a vehicle's look."""
+CARRIED = ("main_rotor/blade_",)
+"""Parts without hulls of their own, which those of the part that carries them contain."""
+CONED = (2.6, 4.0)
+"""Coning of the blades that the hull of the disc contains, degrees."""
 STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "truck": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they contain steered parts at every angle."""
 LOWEST = {"boat": -0.8401, "tumbler": -0.0221, "hopper": -0.9}
@@ -80,9 +85,21 @@ def in_root(p: Part) -> np.ndarray:
     return p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3]
 
 
+def physics(name: str) -> dict:
+    return importlib.import_module("tomllib").loads((VEHICLES / name / "vehicle.toml").read_text())["physics"]
+
+
+def coned(degrees: float) -> list[Part]:
+    """The rotor's blades at a coning of so many degrees, in frames at their hinges."""
+    up = rotation(0, math.radians(degrees) - physics("helicopter")["blades_up"])
+    return [replace(p, points=p.points @ up.T) for p in read_parts(asset("helicopter")) if p.path.startswith(CARRIED)]
+
+
 def steered(name: str) -> np.ndarray:
-    """The points (n, 3) of the steered parts, at full lock to either side, in the root's frame."""
+    """The points (n, 3) of the steered parts, at full lock to either side, and of coned blades, in the root's frame."""
     points = [np.zeros((0, 3))]
+    if name == "helicopter":
+        points += [in_root(p) for degrees in CONED for p in coned(degrees)]
     for path, limit in STEERED.get(name, {}).items():
         pivot = part(name, path).T_rp[:3, 3]
         riding = [in_root(p) for p in read_parts(asset(name)) if f"{p.path}/".startswith(f"{path}/")]
@@ -163,7 +180,7 @@ def test_parts_and_triangles(name):
     parts = read_parts(asset(name))
     assert {p.path for p in parts} == PARTS[name]
     assert TRIANGLES[0] <= sum(len(p.faces) for p in parts) <= TRIANGLES[1]
-    assert all(p.collides for p in parts if len(p.faces))
+    assert all(p.collides for p in parts if len(p.faces) and not p.path.startswith(CARRIED))
 
 
 @pytest.mark.parametrize("name", available())
@@ -214,19 +231,22 @@ def test_hulls_are_at_most_a_hands_width_too_large(name):
 
 
 @pytest.mark.parametrize(("path", "axis"), [("main_rotor", 2), ("tail_rotor", 1)])
-def test_rotor_disc_holds_the_blades_at_every_angle(path, axis):
+def test_rotor_disc_holds_the_blades_at_every_angle_and_coning(path, axis):
     rotor = part("helicopter", path)
+    shapes = [rotor.points]
+    for degrees in np.linspace(*CONED, 5) if path == "main_rotor" else ():
+        shapes += [p.points @ p.T_pr[:3, :3].T + p.T_pr[:3, 3] for p in coned(degrees)]
     for angle in np.linspace(0, 2 * np.pi, 17):
-        assert outside(rotor.points @ rotation(axis, angle).T, list(rotor.hulls)).max() < 1e-6
+        assert outside(np.concatenate(shapes) @ rotation(axis, angle).T, list(rotor.hulls)).max() < 1e-6
 
 
 @pytest.mark.parametrize(
     ("path", "spin", "axis", "thrust"),
-    [("main_rotor", [0, 0, 1], [0, -1, 0], 1), ("tail_rotor", [0, 1, 0], [0, 0, 1], -1)],
+    [("main_rotor/blade_1", [0, 0, 1], [0, 1, 0], 1), ("tail_rotor", [0, 1, 0], [0, 0, 1], -1)],
 )
 def test_blades_lead_with_their_nose_and_lift_the_right_way(path, spin, axis, thrust):
     stage = Usd.Stage.Open(str(asset("helicopter")))
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/helicopter/{path}/{path}_blade"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(f"/helicopter/{path}/{path.rpartition('/')[2]}_blade"))
     points = np.array(mesh.GetPointsAttr().Get(), float)
     forward = np.cross(spin, axis)  # the direction in which a point of this blade moves
     blade = points[(points @ axis > 0.4 * (points @ axis).max()) & (np.abs(points @ forward) < 0.4)]
@@ -246,9 +266,8 @@ def test_wheel_hull_holds_the_wheel_at_every_steering_angle():
 
 
 def test_helicopter_has_real_dimensions():
-    rotor, body = part("helicopter", "main_rotor"), part("helicopter", "fuselage")
-    blades = rotor.points[:, :2]
-    assert 2 * np.linalg.norm(blades, axis=1).max() == pytest.approx(10.7, abs=0.02)
+    blades, body = [part("helicopter", f"main_rotor/blade_{k}") for k in (1, 2, 3)], part("helicopter", "fuselage")
+    assert all(2 * np.linalg.norm(in_root(p)[:, :2], axis=1).max() == pytest.approx(10.7, abs=0.02) for p in blades)
     assert np.ptp(in_root(body)[:, 0]) == pytest.approx(10.9, abs=0.15)
     assert in_root(body)[:, 2].min() == pytest.approx(0.0, abs=2e-3)
     assert np.ptp(part("helicopter", "tail_rotor").points[:, 2]) == pytest.approx(1.86, abs=0.01)
@@ -259,6 +278,9 @@ def test_helicopter_physics_matches_its_rig():
     toml = importlib.import_module("tomllib").loads((VEHICLES / "helicopter" / "vehicle.toml").read_text())
     assert hub - rig("helicopter").origin == pytest.approx([0, 0, toml["physics"]["d_t"]])
     assert tail[0] == pytest.approx(-toml["physics"]["d_r"])
+    flat = np.concatenate([p.points for p in coned(0.0)])
+    outer = flat[(flat[:, 1] > 4.5) & (np.abs(flat[:, 0]) < 0.3)]
+    assert (outer[:, 2].min() + outer[:, 2].max()) / 2 == pytest.approx(0.0, abs=0.01)
     assert toml["controls"]["collective"]["scale"] == pytest.approx(9.81 * toml["physics"]["mass"], rel=1e-3)
 
 

@@ -10,6 +10,8 @@ import pytest
 import vehsim
 from vehsim.constants import AIR, GRAVITY
 from vehsim.planning.trim import steady
+from vehsim.rig.linkage import moved
+from vehsim.rig.ops import frames_of
 from vehsim.vehicles.models.rotor import Rotor
 
 BO105 = Path(__file__).parents[2] / "benchmarks/bo105"
@@ -111,6 +113,48 @@ def test_the_cushion_fades_with_speed_as_cheeseman_and_bennett_say():
     rotor = Rotor(5.0, 40.0, 0.06, 0.01, 1.15)
     saved = [1 - cushion(rotor, 5.0, speed**2, 10.0) for speed in (0.0, 10.0, 30.0)]
     assert np.array(saved[1:]) / saved[0] == pytest.approx([1 / 2, 1 / 10], rel=1e-3)
+
+
+@pytest.mark.parametrize("g", [0.6, 1.0, 1.4])
+def test_blades_cone_as_their_elements_balance(g):
+    """Blades without twist in uniform inflow: their pitch from the thrust, their coning from moments about the hinge,
+    both summed over elements."""
+    radius, speed, solidity, lock, thrust = 5.35, 40.8, 0.0625, 6.7, g * 18639.0
+    rotor = Rotor(radius, speed, solidity, 0.01, 1.15)
+    inflow, chords, slope = math.sqrt(thrust / (2 * AIR * rotor.area)), solidity * math.pi * radius, 5.7
+    r = (np.arange(20000) + 0.5) / 20000 * radius
+    per_pitch = AIR / 2 * slope * chords * (speed * r) ** 2  # lift per length and pitch, N/m
+    lost = AIR / 2 * slope * chords * speed * r * inflow
+    pitch = (thrust / radius + lost.mean()) / per_pitch.mean()
+    moment = ((pitch * per_pitch - lost) * r).mean() * radius
+    inertia = AIR * slope * chords * radius**4 / lock
+    assert float(rotor.coning(thrust, lock)) == pytest.approx(moment / (inertia * speed**2), rel=1e-6)
+
+
+def test_blades_of_the_rig_rise_with_thrust():
+    """In hover they stand as they were modelled; with 1.2 instead of 0.8 g their tips are 11 cm higher."""
+    heli = vehsim.load_vehicle("helicopter")
+    c = ca.SX.sym("c", 4)
+    names = [f"coning_{k}" for k in (1, 2, 3)]
+    law = ca.Function("law", [c], [ca.vertcat(*(heli.channels[name].value(0, c, c, c, c) for name in names))])
+    weight = GRAVITY * 1900.0
+    raised = np.array([np.ravel(law([g * weight, 0, 0, 0])) for g in (0.8, 1.0, 1.2)])
+    assert np.degrees(raised[1]) == pytest.approx([0.0, 0.0, 0.0], abs=0.02)
+    assert len(set(np.round(raised[0], 12))) == 1
+    for k in (1, 2, 3):
+        path = f"main_rotor/blade_{k}"
+        outward = frames_of(heli.rig)[path] @ [0.0, 5.24, 5.24 * math.tan(math.radians(3.2)), 1.0]
+        R, p = moved(heli.rig, path, dict(zip(names, raised.T, strict=True)), 3)
+        tips = R @ outward[:3] + p
+        assert tips[1] == pytest.approx(outward[:3], abs=2e-3)
+        assert tips[2, 2] - tips[0, 2] == pytest.approx(0.11, abs=0.01)
+
+
+def test_the_papers_blades_do_not_cone():
+    bare = vehsim.load_vehicle("helicopter_lie")
+    c = ca.SX.sym("c", 4)
+    law = ca.Function("law", [c], [bare.channels["coning_1"].value(0, c, c, c, c)])
+    assert float(law([18e3, 0, 0, 0])) == 0
 
 
 def test_torque_turns_the_nose_to_the_right_and_the_tail_rotor_holds_it(bo105):

@@ -15,10 +15,11 @@ from annotated_types import Len
 
 from vehsim.constants import AIR
 from vehsim.lie import SO3xR3
-from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, Channel
+from vehsim.rig.rig import CONING, DISC_PITCH, DISC_ROLL, Channel
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.holonomic import Holonomic
 from vehsim.vehicles.definition.quantities import (
+    Angle,
     AngularRate,
     Area,
     Coefficient,
@@ -36,6 +37,8 @@ from vehsim.vehicles.definition.quantities import (
 )
 from vehsim.vehicles.models.rotor import Rotor
 
+MOST_BLADES = 5
+"""Channels for coning blades: no light helicopter has more."""
 HEADING_HOLD = 10.0
 """Weight of the squared yaw rate, in s: our choice, with which a cruise of 5 m/s deviates by less than a degree."""
 
@@ -55,6 +58,8 @@ def helicopter(
     solidity: Annotated[Coefficient, With("rotor_radius")] = 0.0,
     tail_radius: Annotated[Distance, With("rotor_radius")] = 0.0,
     tail_solidity: Annotated[Coefficient, With("tail_radius")] = 0.0,
+    lock_number: Annotated[Coefficient, With("rotor_radius")] = 0.0,
+    blades_up: Annotated[Angle, With("rotor_radius")] = 0.0,
     profile_drag: Annotated[Coefficient, With("rotor_radius")] = 0.01,
     induced_factor: Annotated[Coefficient, With("rotor_radius")] = 1.15,
     drag_linear: Annotated[Sequence[LinearDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
@@ -79,7 +84,8 @@ def helicopter(
     forward by ``mast_tilt``. ``hub_stiffness`` N m/rad: moment of the hub per tilt of the disc. With a
     ``rotor_radius``, the torque of the main rotor, which turns counter-clockwise seen from above, acts on the fuselage;
     with a ``tail_radius``, the tail rotor needs power too. ``solidity``, ``tail_solidity``, ``profile_drag``,
-    ``induced_factor``: see `Rotor`.
+    ``induced_factor``: see `Rotor`. ``lock_number``: lift of a blade over its inertia, ``rho a c R^4 / I``; with it,
+    blades cone with the thrust, on channels that start at ``blades_up`` rad, the coning of the asset at rest.
     Against the air: ``drag_linear`` N s/m and ``drag_quadratic`` N s^2/m^2 per body axis, ``drag_angular`` N m s;
     ``fuselage_moments`` m^3, moments over dynamic pressure: nose-up at zero incidence, nose-up per angle of attack, and
     nose-right per sideslip to the right. Stabiliser and fin: area times lift slope, m^2; distance behind the centre of
@@ -150,6 +156,11 @@ def helicopter(
             force, moment = force + push, moment + ca.cross(place, push)
         return ca.vertcat(moment, force)
 
+    def coning(thrust: Expr) -> Expr:
+        """Coning of the blades above that of the asset at rest, rad."""
+        cones = lock_number and solidity and rotor_radius
+        return main.coning(thrust, lock_number) - blades_up if cones else 0 * thrust
+
     has_drag = any((*drag_linear, *drag_quadratic, *drag_angular, *fuselage_moments))
     has_drag = has_drag or bool(rotor_radius or stabiliser_area or fin_area)
     return Holonomic(
@@ -167,6 +178,7 @@ def helicopter(
             # the disc stands across the thrust: `direction` is R_y(pitch) R_x(roll) e_z on an upright mast
             DISC_PITCH: Channel(value=lambda t, r, u, xi, c: c[2]),
             DISC_ROLL: Channel(value=lambda t, r, u, xi, c: c[3]),
+            **{f"{CONING}{k + 1}": Channel(value=lambda t, r, u, xi, c: coning(c[0])) for k in range(MOST_BLADES)},
             "main_rotor": Channel(rate=lambda t, r, u, xi, c: main_rotor_speed),
             "tail_rotor": Channel(rate=lambda t, r, u, xi, c: tail_rotor_speed),
         },

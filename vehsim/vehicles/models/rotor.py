@@ -13,6 +13,8 @@ from vehsim.vehicles.definition.base import Expr
 
 STILL = 0.1
 """Induced velocity of an unloaded rotor, m/s, which keeps the induced velocity smooth without thrust."""
+LIFT_SLOPE = 5.7
+"""Lift over angle of attack of a blade's section, per rad: the usual value."""
 
 
 @dataclass(frozen=True)
@@ -86,3 +88,13 @@ class Rotor:
         free = self.induced(thrust, along, across)
         induced = self.induced_factor * free * self.cushion(height, across, free)
         return thrust * (induced + along) + self.profile_power * (1 + 4.65 * across / self.tip_speed**2)
+
+    def coning(self, thrust: Expr, lock_number: float) -> Any:
+        """Angle at which hinged blades stand above the plane of the disc in hover, rad.
+
+        Their lift and centrifugal force balance at ``lock_number (theta / 8 - lambda / 6)``, where the thrust is
+        ``C_T = (sigma a / 2) (theta / 3 - lambda / 2)`` and the inflow ``lambda = sqrt(C_T / 2)``, for blades of one
+        pitch ``theta`` (Gessow and Myers, Aerodynamics of the Helicopter, 1952).
+        """
+        load = ca.fmax(thrust, 0) / (AIR * self.area * self.tip_speed**2)
+        return lock_number * (0.75 * load / (self.solidity * LIFT_SLOPE) + ca.sqrt(load / 2) / 48)
