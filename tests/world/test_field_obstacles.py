@@ -60,6 +60,25 @@ def test_a_moved_obstacle_does_not_measure_the_terrain_again(monkeypatch):
     assert np.array_equal(again.distances, fresh.distances) and np.array_equal(again.lower, fresh.lower)
 
 
+def test_obstacles_are_measured_only_where_they_may_be_nearer(monkeypatch):
+    """The field is the same to the bit as if they were measured everywhere, also in rock."""
+    x, y = np.meshgrid(np.arange(0, 61, 2.0), np.arange(0, 41, 2.0))
+    terrain = Terrain("waves", 2 * np.sin(x / 9) * np.cos(y / 7), (0.0, 0.0), (2.0, 2.0))
+    things, asked, to_hulls = (ob.box("cellar", (40, 30, -9), (5, 5, 12), 10), *THINGS), [], field_module._to_hulls
+
+    def counted(hulls):
+        law = to_hulls(hulls)
+        return lambda points: asked.append(len(points)) or law(points)
+
+    monkeypatch.setattr(field_module, "_to_hulls", counted)
+    field = World(terrain, obstacles=things).distance_field()
+    few = sum(asked)
+    monkeypatch.setattr(field_module, "MARGIN", np.inf)  # everywhere
+    whole = World(terrain, obstacles=things).distance_field()
+    assert np.array_equal(field.distances, whole.distances) and few < 0.8 * (sum(asked) - few)
+    assert sum(asked) - few == field.distances.size
+
+
 def test_the_fields_functions_agree_inside_and_outside_the_box():
     """numpy, CasADi and the optimiser's models agree; in an open field nothing is subtracted."""
     field = World(obstacles=THINGS).distance_field()
