@@ -1,5 +1,7 @@
 """Retouch: a solved motion drawn to curves that an animator edited."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -232,3 +234,15 @@ def test_bodies_and_trailers_stay_on_their_springs_around_an_edit():
         assert bends.max() < 5e-4, name
         assert made.channels[name][far] == pytest.approx(clip.channels[name][far], abs=1e-9)
         assert made.channels[name][-1] == pytest.approx(clip.channels[name][-1], abs=1e-4)
+
+
+def test_an_edit_near_obstacles_is_solved_where_the_solved_motion_is_as_near():
+    """Between parked cars: the simplified outline of the car is nearer to them than the car, also at the fixed ends."""
+    take = vehsim.Shot.load(Path(__file__).parents[2] / "examples" / "parallel_park.toml").solve()
+    clip = take.clips["car"]
+    made = retouch(clip, take.world, *bumped(clip, 1363, 1403, (0.0, 0.15, 0.0)))
+    assert made.kept < KEPT and made.misses(), "so slow a car cannot move sideways: named"
+    before, after = (
+        take.world.clearance(each.vehicle, each.positions, each.orientations) for each in (clip, made.clip)
+    )
+    assert after.min() > before.min() - 0.03

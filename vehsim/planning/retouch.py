@@ -81,6 +81,9 @@ SMOOTH = 1e-3
 """Cost per second of controls that depart from the solved ones at a rate of one typical control per second."""
 SAME = 1e-6
 """Difference below which two frames are one."""
+SPARE = 0.02
+"""By how much nearer to obstacles than the solved motion an edit may come, m: the optimiser simplifies outlines and adds
+a margin, which the solved motion itself would not keep."""
 STANDS = 0.05
 """Distance of a flying vehicle from the ground and obstacles below which it counts as landed, m."""
 SPENT = ("work", "dissipated")
@@ -364,7 +367,7 @@ def _landed(clip: Clip, world: Any, frames: Array) -> NDArray[np.bool_]:
 
 
 def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -> float:
-    """The requested clearance, or less where the solved motion comes nearer, as over the place where it lands.
+    """The requested clearance, or less where the solved motion comes nearly as near, as over the place where it lands.
 
     A vehicle on the ground keeps it from obstacles and walls.
     """
@@ -377,7 +380,7 @@ def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -
         apart = [from_obstacles.min(initial=math.inf), world.clearance_from_walls(*there, solved.channels).min()]
     else:
         apart = [world.clearance(*there, seconds, solved.channels).min()]
-    return max(0.0, float(min(clearance, *apart)))
+    return max(0.0, float(min(clearance, min(apart) - SPARE)))
 
 
 @dataclass(frozen=True, eq=False)
