@@ -82,8 +82,8 @@ SMOOTH = 1e-3
 SAME = 1e-6
 """Difference below which two frames are one."""
 SPARE = 0.02
-"""By how much nearer to obstacles than the solved motion an edit may come, m: the optimiser simplifies outlines and adds
-a margin, which the solved motion itself would not keep."""
+"""By how much nearer to obstacles than the solved motion an edit may come, m: the optimiser simplifies outlines and
+adds a margin, which the solved motion itself would not keep."""
 STANDS = 0.05
 """Distance of a flying vehicle from the ground and obstacles below which it counts as landed, m."""
 SPENT = ("work", "dissipated")
