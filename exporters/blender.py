@@ -51,6 +51,12 @@ TURN = math.radians(5.0)
 """Largest rotation between two quaternion keys: Blender interpolates their components linearly."""
 DISPLAY_COLOUR = "displayColor"
 """Name of USD's colour of meshes without a material, as primvar and as attribute in Blender."""
+WATER = "/env/water/surface"
+"""End of the path of a stage's water."""
+HOLES = ((9.0, 0.9), (24.0, 0.8), (57.0, 0.35))
+"""Holes in foam: their number along a tile of the water's texture coordinates, and how much they matter."""
+THREADED = (0.8, 1.35)
+"""Where the sum of foam and of the rank of a place in its threads, each from 0 to 1, begins to be white, and is so."""
 HIDING = ("hide_render", "hide_viewport")
 """Properties that hide an object, in renders and in viewports."""
 MERGED = 0.01
@@ -69,7 +75,12 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
     for light in bpy.data.lights:
         light.energy /= SUN if light.type == "SUN" else 1.0
     _show_display_colours(bpy.data.meshes)
-    _hide_empty_points(bpy.data.objects, read_stage(stage))
+    opened = read_stage(stage)
+    _hide_empty_points(bpy.data.objects, opened)
+    for prim in opened.Traverse():
+        if str(prim.GetPath()).endswith(WATER):
+            colours = prim.GetAttribute(f"primvars:{DISPLAY_COLOUR}").Get()
+            _thread_foam(bpy.data.materials, colours[0], colours[-1])
     if fps is not None:
         scene.render.fps = -(-fps.numerator // fps.denominator)
         scene.render.fps_base = float(scene.render.fps / fps)
@@ -92,6 +103,52 @@ def _show_display_colours(meshes: Iterable[Any]) -> None:
     tree.links.new(colour.outputs["Color"], shader.inputs["Base Color"])
     for mesh in bare:
         mesh.materials.append(material)
+
+
+def _thread_foam(materials: Iterable[Any], clear: Sequence[float], foam: Sequence[float]) -> None:
+    """Divide foam into threads around holes in the material of the stage's water, which has it per point of the mesh,
+    between the colours ``clear`` and ``foam``."""
+    for tree in (material.node_tree for material in materials if material.use_nodes):
+        named = {node.attribute_name: node for node in tree.nodes if node.type == "ATTRIBUTE"}
+        places = [node for node in tree.nodes if node.type == "UVMAP"]
+        shaders = [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
+        if not (places and shaders and {DISPLAY_COLOUR, "roughness"} <= set(named)):
+            continue
+
+        def made(kind: str, tree: Any = tree, **settings: Any) -> Any:
+            node = tree.nodes.new(f"ShaderNode{kind}")
+            for key, value in settings.items():
+                setattr(node, key, value)
+            return node
+
+        def put(node: Any, values: Sequence[Any], tree: Any = tree) -> Any:
+            """Its first output, with its inputs set to numbers or linked to other outputs."""
+            for socket, value in zip(node.inputs, values, strict=False):
+                if hasattr(value, "is_linked"):
+                    tree.links.new(value, socket)
+                else:
+                    socket.default_value = value
+            return node.outputs[0]
+
+        height: Any = 0.0
+        for cells, weight in HOLES:
+            edges = made("TexVoronoi", voronoi_dimensions="2D", feature="DISTANCE_TO_EDGE")
+            edges.inputs["Scale"].default_value = cells
+            tree.links.new(places[0].outputs[0], edges.inputs["Vector"])
+            deep = put(made("MapRange"), (edges.outputs["Distance"], 0.0, 0.4, 0.0, weight))
+            height = put(made("Math", operation="ADD"), (height, deep))
+        most = sum(weight for _, weight in HOLES)
+        rank = put(made("MapRange"), (height, 0.15 * most, 0.85 * most, 1.0, 0.0))
+        red = put(made("SeparateColor"), (named[DISPLAY_COLOUR].outputs["Color"],))
+        white = put(made("MapRange"), (red, clear[0], foam[0], 0.0, 1.0))
+        both = put(made("Math", operation="ADD"), (white, rank))
+        dense = put(made("MapRange", interpolation_type="SMOOTHSTEP"), (both, *THREADED, 0.0, 1.0))
+        some = put(made("Math", operation="MULTIPLY", use_clamp=True), (white, 4.0))
+        shown = put(made("Math", operation="MULTIPLY"), (dense, some))
+        mixed = made("Mix", data_type="RGBA")
+        tree.links.new(shown, mixed.inputs[0])
+        mixed.inputs[6].default_value, mixed.inputs[7].default_value = (*clear, 1.0), (*foam, 1.0)
+        tree.links.new(mixed.outputs[2], shaders[0].inputs["Base Color"])
 
 
 def _hide_empty_points(imported: Iterable[Any], opened: Any) -> None:

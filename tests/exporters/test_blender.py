@@ -313,6 +313,49 @@ for mesh in bpy.data.meshes:
 
 
 @needs_blender
+def test_foam_has_threads_and_holes_in_blender(tmp_path):
+    """The stage has it per point of the water's mesh: here four points with as much of it, seen from above."""
+    from PIL import Image
+    from pxr import Usd, UsdGeom
+
+    from vehsim.exporters.usd.scenery.water_material import author_coordinates, author_foam, bind_material, set_foam
+
+    path, picture = tmp_path / "layers" / "sea.usda", tmp_path / "foam.png"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/sea").GetPrim())
+    mesh = UsdGeom.Mesh.Define(stage, "/sea/env/water/surface")
+    xy = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
+    mesh.CreatePointsAttr([(x, y, 0.0) for x, y in xy.tolist()])
+    mesh.CreateFaceVertexCountsAttr([4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    author_foam(mesh)
+    author_coordinates(mesh, xy)
+    bind_material(stage, mesh, tmp_path)
+    for frame, foam in ((1, 0.0), (2, 0.5)):
+        set_foam(stage.GetRootLayer(), "/sea/env/water/surface", frame, np.full(4, foam), np.zeros(4))
+    stage.Save()
+    render = f"""
+above = bpy.data.objects.new("above", bpy.data.cameras.new("above"))
+scene.collection.objects.link(above)
+above.location, scene.camera = (0, 0, 6), above
+scene.world.use_nodes = True
+scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1, 1, 1, 1)
+scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "CYCLES", 96, 96
+scene.cycles.device, scene.cycles.samples, scene.view_settings.view_transform = "CPU", 16, "Raw"
+for frame in (1, 2):
+    scene.frame_set(frame)
+    scene.render.filepath = {str(picture)!r} + str(frame)
+    bpy.ops.render.render(write_still=True)
+about = None"""
+    matrices(f"scene = blender.open_stage({str(path)!r})", [], [], render)
+    clear, foamy = (np.asarray(Image.open(f"{picture}{k}.png").convert("L"), float) / 255 for k in (1, 2))
+    assert clear.max() < 0.3
+    assert 0.2 < (foamy > 0.5).mean() < 0.7 and (foamy < 0.3).mean() > 0.2
+
+
+@needs_blender
 def test_cycles_renders_the_stage_alone(shot, tmp_path):
     from PIL import Image
     from pxr import Usd, UsdGeom
