@@ -24,7 +24,7 @@ from vehsim.planning.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-TURN = 2 * np.pi
+TURNS = 4 * np.pi
 """How far headings in the plane may be from those of the initial guess, rad. Along linearised equations, turning many
 times over is a cheap way to move; without a bound, steps of the solver do so over long times."""
 
@@ -33,7 +33,7 @@ times over is a cheap way to move; without a bound, steps of the solver do so ov
 class Dynamics(Block):
     """The discrete mechanics of every segment outside of holds; during holds state and controls are constant.
 
-    Controls and joints stay within the vehicle's bounds, and headings within `TURN` of the initial guess.
+    Controls and joints stay within the vehicle's bounds, and headings within `TURNS` of the initial guess.
     """
 
     marks: Sequence[Mark]
@@ -70,7 +70,7 @@ class Dynamics(Block):
         ]
         if transcription.vehicle.group.planar:
             headings = layout.knot(np.arange(layout.knots))[0]
-            lower[headings], upper[headings] = trajectory.x[headings] - TURN, trajectory.x[headings] + TURN
+            lower[headings], upper[headings] = trajectory.x[headings] - TURNS, trajectory.x[headings] + TURNS
         bound_joints(trajectory, transcription.vehicle.joint_limits, lower, upper)
 
     def describe(self, use: Use, occurrence: int, row: int, trajectory: Trajectory) -> str:
