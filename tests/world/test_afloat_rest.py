@@ -17,7 +17,9 @@ from vehsim.simulation import Mover, simulate, simulate_together
 from vehsim.vehicles import State
 from vehsim.world.contact.contact import Contact
 from vehsim.world.obstacles.obstacles import moving
+from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.water import Water, wave
 from vehsim.world.wind import Gusts
 
 ASIDE = State(position=(0.0, -4.0, 0.3), twist=(0, 0, 0, 0, 3.0, 0))
@@ -44,6 +46,28 @@ def test_a_boat_at_rest_costs_nothing_until_its_engine_starts(monkeypatch: pytes
     assert not whole.twists[still].any() and whole.twists[-1, 3] > 0.2
     assert not [t for t in evaluated if 0.5 < t < 1.95] and max(evaluated) > 2.4
     assert run(2.5, run(1.0)).to_bytes() == whole.to_bytes()
+
+
+def test_a_boat_at_rest_on_a_beach_in_waves_is_looked_at_sixty_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its steps are four times as short; a simulation that is continued at any of them has the same bytes."""
+    x = np.arange(-60.0, 61.0, 2.0)
+    beach = Terrain("beach", np.tile(0.1 * (x - 10), (len(x), 1)), (-60, -60), (2, 2))
+    world = World(beach, water=Water(surface=wave(0.06, 4.0)), contact=Contact(0.4, 0.1, 1.5))
+    start = State(position=(6.5104, 0, 0.1536), orientation=(1, 0, 9.13e-4, 0))
+    boat, evaluated, motion = vehsim.load_vehicle("boat"), [], Afloat._motion
+
+    def noted(self: Afloat, t: float, *given: Any) -> Any:
+        evaluated.append(t)
+        return motion(self, t, *given)
+
+    def run(duration: float, after: Any = None) -> Any:
+        return simulate(boat, world, (0.0, 0.0), start, duration=duration, after=after)
+
+    monkeypatch.setattr(Afloat, "_motion", noted)
+    whole = run(1.5)
+    assert not whole.twists[whole.times > 1.0].any()
+    assert 25 < len([t for t in evaluated if 1.0 < t <= 1.5]) < 35
+    assert run(1.5, run(1.205)).to_bytes() == whole.to_bytes()
 
 
 def test_a_dropped_boat_rests_within_a_tenth_of_a_millimetre_of_where_it_floats() -> None:

@@ -14,6 +14,8 @@ Mask = NDArray[np.bool_]
 
 CALM = 0.25
 """Time for which bodies are held still before they rest, s."""
+LOOK = 1 / 60
+"""Time between two looks at what acts on a body that rests, s; with longer steps, every step."""
 CHANGE = 1e-3
 """Change of a wrench, as a share of it, that does not wake them without further thought."""
 
@@ -65,7 +67,7 @@ class Rest:
     that if one of them has changed its motion.
     """
 
-    CARRIED = ("asleep", "_calm", "_balance")
+    CARRIED = ("asleep", "_calm", "_balance", "_unseen")
 
     def __init__(
         self,
@@ -78,6 +80,7 @@ class Rest:
         self.asleep = np.zeros(len(bodies), bool)
         self._calm = np.zeros(len(bodies))
         self._balance: dict[int, Array] = {}
+        self._unseen = 0.0
 
     def begin(self, controls: Sequence[tuple[Array, Array]], seconds: float) -> Mask:
         """Which bodies (n,) rest for the next ``seconds``, whose ``controls`` start and end as given. New controls wake
@@ -92,6 +95,7 @@ class Rest:
             if not self._holding.settled[k] and not self._bodies[k].balanced():
                 self._calm[k] = 0.0
         self._rest(ready & self._together(self.asleep | (self._calm >= CALM)))
+        self._unseen += seconds
         return self.asleep
 
     def wake_touched(self) -> list[int]:
@@ -105,8 +109,9 @@ class Rest:
     def end(self) -> None:
         """After their time has passed: wake those whose wrench is no longer balanced."""
         which = [int(k) for k in np.flatnonzero(self.asleep)]
-        if not which:
+        if not which or self._unseen < LOOK * (1 - 1e-9):
             return
+        self._unseen = 0.0
         now, changes = self._query(which), [np.zeros_like(self._balance[which[0]]) for _ in self._bodies]
         fine = self.asleep & self._held()
         slight = fine.copy()
