@@ -24,7 +24,7 @@ from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certificates import extent
 from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.constraints.block import Block
-from vehsim.planning.constraints.clearance import cover_for
+from vehsim.planning.constraints.clearance import SLACK, cover_for
 from vehsim.planning.constraints.dynamics import UnitQuaternion
 from vehsim.planning.constraints.easing import Easing
 from vehsim.planning.constraints.mark_constraints import MarkConstraint, same_state
@@ -367,7 +367,7 @@ def _landed(clip: Clip, world: Any, frames: Array) -> NDArray[np.bool_]:
 
 
 def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -> float:
-    """The requested clearance, or less where the solved motion comes nearly as near, as over the place where it lands.
+    """The requested clearance, or less where the solved motion comes nearer, as over the place where it lands.
 
     A vehicle on the ground keeps it from obstacles and walls.
     """
@@ -380,7 +380,10 @@ def _clear(clip: Clip, world: Any, solved: Clip, first: int, clearance: float) -
         apart = [from_obstacles.min(initial=math.inf), world.clearance_from_walls(*there, solved.channels).min()]
     else:
         apart = [world.clearance(*there, seconds, solved.channels).min()]
-    return max(0.0, float(min(clearance, min(apart) - SPARE)))
+    nearest = float(min(apart))
+    if nearest >= clearance - SLACK:  # the audit allows no less
+        return min(clearance, nearest)
+    return max(0.0, nearest - SPARE)
 
 
 @dataclass(frozen=True, eq=False)
