@@ -479,7 +479,7 @@ async def _some_frames_later(page):
 
 def test_a_car_is_driven_with_a_gamepad(tmp_path):
     """The browser's report of a gamepad is replaced, since none is there: forward is negative, and left too."""
-    path = written(tmp_path, SHOT.replace("schema = 1", "schema = 1\nend_frame = 1300", 1))
+    path = written(tmp_path, SHOT.replace("schema = 1", "schema = 1\nend_frame = 2600", 1))
     pad = "navigator.getGamepads = () => [null, { axes: [%s, %s, 0, 0] }]"
 
     async def play():

@@ -357,8 +357,9 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       }
       if (this.water) this.water.show(k);
       this._showCompared(k);
-      if (this.live !== Math.floor(header.frame)) {
-        this.live = Math.floor(header.frame);
+      this.live = Math.floor(header.frame);
+      if (performance.now() > (this.told || 0) + 200) { // seldom: it costs the picture time
+        this.told = performance.now();
         this.timeline.draw();
       }
       const place = new THREE.Vector3(...header.place);
