@@ -18,6 +18,10 @@ from vehsim.world.water.water import Water, Waves
 
 Array = NDArray[np.float64]
 
+SHORTER = 1.02
+"""Waves whose frequency is up to this multiple of the highest computed one have its diffraction: hulls are hardly ever
+as long as their waterline, over which the waves were chosen."""
+
 
 @dataclass(eq=False)
 class Seakeeping:
@@ -100,5 +104,5 @@ def between(omega: Array, forces: NDArray[np.complex128], wanted: Array) -> NDAr
     number = np.concatenate([[0.0], omega**2 / GRAVITY])
     forces = np.concatenate([np.zeros((1, *forces.shape[1:]), complex), forces])
     found = np.asarray(CubicSpline(number, forces)(np.minimum(wanted, omega[-1]) ** 2 / GRAVITY))
-    found[wanted > (1 + 1e-6) * omega[-1]] = 0.0
+    found[wanted > SHORTER * omega[-1]] = 0.0
     return found
