@@ -11,7 +11,7 @@ help:
 	@echo "make test-pythons       run all tests on Python 3.11 and 3.13, and the core on 3.12 and 3.14, where available"
 	@echo "make measure-tests      run all tests and record the time of each, from which make check selects"
 	@echo "make setup              create .venv from locked dependencies"
-	@echo "make blender            install Blender's Python module in .blender (400 MB), so that its tests run too"
+	@echo "make blender            install Blender's Python module in .blender (400 MB), so that its tests run too; another version: BLENDER_PYTHON=python3.13 BPY=5.3.0"
 	@echo "make extension          build the extension for Blender: build/vehsim-<version>.zip"
 	@echo "make docs               generate the key tables of docs/shot-file.md, and the site in site/"
 	@echo "make assets             generate the vehicles' USD assets; the bytes are the same on every machine"
@@ -54,9 +54,12 @@ test-pythons: setup
 measure-tests: setup
 	$(BIN)/pytest -n 2 --dist worksteal --measure
 
+BLENDER_PYTHON ?= python3.11
+BPY ?= 5.0.1
+
 blender:
-	python3.11 -m venv .blender
-	.blender/bin/python -m pip install --quiet bpy==5.0.1
+	$(BLENDER_PYTHON) -m venv .blender
+	.blender/bin/python -m pip install --quiet bpy==$(BPY)
 
 extension: setup
 	$(BIN)/python tools/build_extension.py build
