@@ -284,8 +284,8 @@ def test_a_motion_that_a_recording_replaced_is_offered_again(tmp_path):
             await page.until("live", lambda live: live.header["frame"] > 1002.5)
             await page.send(kind="stop")
             await page.until("driven")
-            stays = "drive.car.001.csv stays"
-            await page.until("state", lambda message: stays in json.dumps(message["problems"]) and message["solved"])
+            now = "drive.car.002.csv now"
+            await page.until("state", lambda message: now in json.dumps(message["problems"]) and message["solved"])
             await page.send(kind="restore", vehicle=said["restores"])
             state = await page.until("state", lambda message: not message["problems"])
             assert state["solved"] and state["recordings"] and not state["drives"][0]["continues"]
