@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,14 +27,15 @@ Array = NDArray[np.float64]
 
 TURNS = 4 * np.pi
 """How far headings in the plane may be from those of the initial guess, rad. Along linearised equations, turning many
-times over is a cheap way to move; without a bound, steps of the solver do so over long times."""
+times over is a cheap way to move; without a bound, steps of the solver do so over long times. Tyres that slip resist
+it themselves."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dynamics(Block):
     """The discrete mechanics of every segment outside of holds; during holds state and controls are constant.
 
-    Controls and joints stay within the vehicle's bounds, and headings within `TURNS` of the initial guess.
+    Controls and joints stay within the vehicle's bounds, and without slipping tyres headings stay within `TURNS` of the guess.
     """
 
     marks: Sequence[Mark]
@@ -68,7 +70,7 @@ class Dynamics(Block):
         upper[knots] = (np.array([c.upper for c in transcription.vehicle.controls]) / transcription.control_scale)[
             :, None
         ]
-        if transcription.vehicle.group.planar:
+        if transcription.vehicle.group.planar and math.isinf(transcription.vehicle.largest_step):
             headings = layout.knot(np.arange(layout.knots))[0]
             lower[headings], upper[headings] = trajectory.x[headings] - TURNS, trajectory.x[headings] + TURNS
         bound_joints(trajectory, transcription.vehicle.joint_limits, lower, upper)
