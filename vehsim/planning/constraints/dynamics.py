@@ -35,7 +35,8 @@ it themselves."""
 class Dynamics(Block):
     """The discrete mechanics of every segment outside of holds; during holds state and controls are constant.
 
-    Controls and joints stay within the vehicle's bounds, and without slipping tyres headings stay within `TURNS` of the guess.
+    Controls and joints stay within the vehicle's bounds, and without slipping tyres headings stay within `TURNS` of
+    the guess.
     """
 
     marks: Sequence[Mark]
