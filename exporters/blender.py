@@ -80,7 +80,9 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
     for prim in opened.Traverse():
         if str(prim.GetPath()).endswith(WATER):
             colours = prim.GetAttribute(f"primvars:{DISPLAY_COLOUR}").Get()
-            _thread_foam(bpy.data.materials, colours[0], colours[-1])
+            for material in bpy.data.materials:
+                if material.use_nodes:
+                    _thread_foam(material.node_tree, colours[0], colours[-1])
     if fps is not None:
         scene.render.fps = -(-fps.numerator // fps.denominator)
         scene.render.fps_base = float(scene.render.fps / fps)
@@ -105,50 +107,49 @@ def _show_display_colours(meshes: Iterable[Any]) -> None:
         mesh.materials.append(material)
 
 
-def _thread_foam(materials: Iterable[Any], clear: Sequence[float], foam: Sequence[float]) -> None:
-    """Divide foam into threads around holes in the material of the stage's water, which has it per point of the mesh,
-    between the colours ``clear`` and ``foam``."""
-    for tree in (material.node_tree for material in materials if material.use_nodes):
-        named = {node.attribute_name: node for node in tree.nodes if node.type == "ATTRIBUTE"}
-        places = [node for node in tree.nodes if node.type == "UVMAP"]
-        shaders = [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
-        if not (places and shaders and {DISPLAY_COLOUR, "roughness"} <= set(named)):
-            continue
+def _thread_foam(tree: Any, clear: Sequence[float], foam: Sequence[float]) -> None:
+    """Divide foam into threads around holes, if these are the nodes of the water's material, which has it per point of
+    the mesh, between the colours ``clear`` and ``foam``."""
+    named = {node.attribute_name: node for node in tree.nodes if node.type == "ATTRIBUTE"}
+    places = [node for node in tree.nodes if node.type == "UVMAP"]
+    shaders = [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
+    if not (places and shaders and {DISPLAY_COLOUR, "roughness"} <= set(named)):
+        return
 
-        def made(kind: str, tree: Any = tree, **settings: Any) -> Any:
-            node = tree.nodes.new(f"ShaderNode{kind}")
-            for key, value in settings.items():
-                setattr(node, key, value)
-            return node
+    def made(kind: str, **settings: Any) -> Any:
+        node = tree.nodes.new(f"ShaderNode{kind}")
+        for key, value in settings.items():
+            setattr(node, key, value)
+        return node
 
-        def put(node: Any, values: Sequence[Any], tree: Any = tree) -> Any:
-            """Its first output, with its inputs set to numbers or linked to other outputs."""
-            for socket, value in zip(node.inputs, values, strict=False):
-                if hasattr(value, "is_linked"):
-                    tree.links.new(value, socket)
-                else:
-                    socket.default_value = value
-            return node.outputs[0]
+    def put(node: Any, values: Sequence[Any]) -> Any:
+        """Its first output, with its inputs set to numbers or linked to other outputs."""
+        for socket, value in zip(node.inputs, values, strict=False):
+            if hasattr(value, "is_linked"):
+                tree.links.new(value, socket)
+            else:
+                socket.default_value = value
+        return node.outputs[0]
 
-        height: Any = 0.0
-        for cells, weight in HOLES:
-            edges = made("TexVoronoi", voronoi_dimensions="2D", feature="DISTANCE_TO_EDGE")
-            edges.inputs["Scale"].default_value = cells
-            tree.links.new(places[0].outputs[0], edges.inputs["Vector"])
-            deep = put(made("MapRange"), (edges.outputs["Distance"], 0.0, 0.4, 0.0, weight))
-            height = put(made("Math", operation="ADD"), (height, deep))
-        most = sum(weight for _, weight in HOLES)
-        rank = put(made("MapRange"), (height, 0.15 * most, 0.85 * most, 1.0, 0.0))
-        red = put(made("SeparateColor"), (named[DISPLAY_COLOUR].outputs["Color"],))
-        white = put(made("MapRange"), (red, clear[0], foam[0], 0.0, 1.0))
-        both = put(made("Math", operation="ADD"), (white, rank))
-        dense = put(made("MapRange", interpolation_type="SMOOTHSTEP"), (both, *THREADED, 0.0, 1.0))
-        some = put(made("Math", operation="MULTIPLY", use_clamp=True), (white, 4.0))
-        shown = put(made("Math", operation="MULTIPLY"), (dense, some))
-        mixed = made("Mix", data_type="RGBA")
-        tree.links.new(shown, mixed.inputs[0])
-        mixed.inputs[6].default_value, mixed.inputs[7].default_value = (*clear, 1.0), (*foam, 1.0)
-        tree.links.new(mixed.outputs[2], shaders[0].inputs["Base Color"])
+    height: Any = 0.0
+    for cells, weight in HOLES:
+        edges = made("TexVoronoi", voronoi_dimensions="2D", feature="DISTANCE_TO_EDGE")
+        edges.inputs["Scale"].default_value = cells
+        tree.links.new(places[0].outputs[0], edges.inputs["Vector"])
+        deep = put(made("MapRange"), (edges.outputs["Distance"], 0.0, 0.4, 0.0, weight))
+        height = put(made("Math", operation="ADD"), (height, deep))
+    most = sum(weight for _, weight in HOLES)
+    rank = put(made("MapRange"), (height, 0.15 * most, 0.85 * most, 1.0, 0.0))
+    red = put(made("SeparateColor"), (named[DISPLAY_COLOUR].outputs["Color"],))
+    white = put(made("MapRange"), (red, clear[0], foam[0], 0.0, 1.0))
+    both = put(made("Math", operation="ADD"), (white, rank))
+    dense = put(made("MapRange", interpolation_type="SMOOTHSTEP"), (both, *THREADED, 0.0, 1.0))
+    some = put(made("Math", operation="MULTIPLY", use_clamp=True), (white, 4.0))
+    shown = put(made("Math", operation="MULTIPLY"), (dense, some))
+    mixed = made("Mix", data_type="RGBA")
+    tree.links.new(shown, mixed.inputs[0])
+    mixed.inputs[6].default_value, mixed.inputs[7].default_value = (*clear, 1.0), (*foam, 1.0)
+    tree.links.new(mixed.outputs[2], shaders[0].inputs["Base Color"])
 
 
 def _hide_empty_points(imported: Iterable[Any], opened: Any) -> None:

@@ -647,10 +647,11 @@ class Shot:
             return
         for name, clip in clips.items():
             depth = water.level - clip.positions[:, 2]
-            for k in np.flatnonzero((depth > OFF_GROUND) & (clip.vehicle.hull is None))[:1]:
+            if clip.vehicle.hull is None and (under := depth > OFF_GROUND).any():
+                first = clip.frames[under.argmax()]
                 warnings.warn(
-                    f"{name}: goes under water at frame {clip.frames[k]:g}, down to {depth.max():.2f} m; raise its "
-                    f"marks, or keep a plan above with [[vehicle.motion.stay]] above = {water.level:g}",
+                    f"{name}: goes under water at frame {first:g}, down to {depth.max():.2f} m; raise its marks, or "
+                    f"keep a plan above with [[vehicle.motion.stay]] above = {water.level:g}",
                     stacklevel=3,
                 )
 
