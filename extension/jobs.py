@@ -128,6 +128,8 @@ def add_problem(scene, problem, severity):
     if scene is None:
         return
     fields = {"key": "", "remedy": "", "severity": severity} | problem
+    if problem.get("subject"):  # such as the vehicle's name
+        fields["message"] = f"{problem['subject']}: {problem['message']}"
     if any(all(getattr(each, name) == fields[name] for name in SHOWN) for each in scene.vehsim.problems):
         return
     shown = scene.vehsim.problems.add()

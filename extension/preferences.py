@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import bpy
@@ -74,8 +75,9 @@ def command(context, *arguments):
 
 
 def environment():
-    """Blender's, without what would send vehsim's Python to Blender's modules."""
-    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
+    """Blender's, without what would send vehsim's Python to Blender's modules. vehsim's exporters use this Blender."""
+    own = {"VEHSIM_BLENDER": bpy.app.binary_path or sys.executable}  # as a module, bpy has no program
+    return own | {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
 
 
 def run(context, *arguments):

@@ -142,6 +142,9 @@ last.vehsim.free_heading, last.vehsim.frame = True, 3
 bpy.context.view_layer.update()
 bpy.ops.vehsim.check()
 found["check"], found["panel of errors"] = finished(), panel()
+last.vehsim.frame = 36
+bpy.ops.vehsim.solve()
+found["too early"] = finished()
 last.vehsim.frame = 61
 bpy.ops.vehsim.solve()
 found["cancelled"] = finished(until=lambda job: job.share > 0)
@@ -176,7 +179,7 @@ found["names"] = sorted(each.name for each in own.vehicle.result.objects)
 # ---------------------------------------------------------------- bake, export
 bpy.ops.vehsim.bake(motion="exact")
 found["baked"], found["keys baked"] = places(car), keys(car)
-bpy.ops.vehsim.export(directory=str(folder / "delivery"), to="usd,csv")
+bpy.ops.vehsim.export(directory=str(folder / "delivery"), to="usd,csv,blend")
 found["export"] = finished()
 
 # ---------------------------------------------------------------- wheels whose meshes share a name

@@ -40,6 +40,7 @@ def found(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     """What `in_blender.py` found."""
     folder = tmp_path_factory.mktemp("scene")
     environment = os.environ | {"VEHSIM_CACHE_GB": "1", "VEHSIM_CACHE": str(folder / "cache")}
+    environment.pop("VEHSIM_BLENDER", None)
     command = [BLENDER, Path(__file__).with_name("in_blender.py"), archive, sys.executable, folder, KART]
     answer = subprocess.run(list(map(str, command)), capture_output=True, text=True, env=environment)
     lines = [line for line in answer.stdout.splitlines() if line.startswith("SAYS")]
@@ -73,6 +74,12 @@ def test_errors_of_a_check_are_in_the_panel(found: dict[str, Any]) -> None:
     assert problem["key"] == "vehicle[0].motion.mark[1].frame" and problem["severity"] == "error"
     shown = " ".join(found["panel of errors"])
     assert all(problem[name] in shown for name in ("key", "message", "remedy"))
+
+
+@needs_blender
+def test_what_cannot_be_solved_names_its_vehicle(found: dict[str, Any]) -> None:
+    (problem,) = errors(found["too early"])
+    assert problem["message"].startswith("car: no plan was found: mark[1].frame = 36 is too early")
 
 
 @needs_blender
@@ -154,6 +161,7 @@ def test_the_exported_delivery_has_the_edit(found: dict[str, Any]) -> None:
     places = [shown.ComputeLocalToWorldTransform(frame).ExtractTranslation() for frame in range(1, 62)]
     assert np.abs(np.array(places) - np.array(found["retouched"])[:, :3, 3]).max() < 2e-3
     assert (found["folder"] / "delivery" / "shot" / "car.csv").is_file()
+    assert (found["folder"] / "delivery" / "shot" / "shot.blend").is_file(), "made by the Blender that runs"
 
 
 @needs_blender

@@ -31,6 +31,14 @@ def test_valid_shots_have_no_problems(small: dict[str, Any], planned: dict[str, 
     assert keys_of(planned) == {}
 
 
+def test_a_wrong_obstacle_does_not_take_the_ground_away(planned: dict[str, Any], keys_of: Find) -> None:
+    """The world without its wrong keys has no terrain: marks that stand on it are not checked then."""
+    put(planned, "world.terrain", "canyon")
+    put(planned, "world.obstacle", [{"shape": "sphere", "radius": 5.0, "position": [0, 0, 0]}])
+    planned["vehicle"][0]["motion"]["mark"][-1] |= {"on_ground": True, "position": [0, 0, 60]}
+    assert set(keys_of(planned)) == {"world.obstacle[0].centre", "world.obstacle[0].position"}
+
+
 @pytest.mark.parametrize(
     "key, value, where, says",
     [

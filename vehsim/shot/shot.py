@@ -96,8 +96,10 @@ class Shot:
         file, problems = parse(data)
         shot = cls(file, Path(folder), source, lines) if file else None
         if problems:
-            found = [_place(problem, source, lines) for problem in problems]
-            raise ShotError(found + (shot.check() if shot else []))
+            # without its wrong keys, the world may lack what a mark stands on
+            whole = not any(problem.key.startswith("world") for problem in problems)
+            problems += shot._check(in_world=whole) if shot else []
+            raise ShotError([_place(problem, source, lines) for problem in problems])
         assert shot is not None
         return shot
 
@@ -351,7 +353,8 @@ class Shot:
         header = self.file.shot
         return Context(self.world, header.fps, header.first, header.last, self.folder)
 
-    def _check(self) -> Iterator[Problem]:
+    def _check(self, in_world: bool = True) -> Iterator[Problem]:
+        """All problems; without those of motions in the world if it is not whole."""
         yield from self._check_header()
         yield from self._check_cameras()
         names = [vehicle.name for vehicle in self.file.vehicle]
@@ -360,7 +363,7 @@ class Shot:
         yield from wrong
         world = None
         try:
-            world = self.world
+            world = self.world if in_world else None
         except InputError as error:
             if self.file.world.terrain is not None and not wrong:
                 for problem in error.problems:
