@@ -79,6 +79,14 @@ def test_a_dropped_boat_rests_within_a_tenth_of_a_millimetre_of_where_it_floats(
     assert not clip.twists[-24:].any() and abs(clip.positions[-1, 2] - height) < 1e-4
 
 
+def test_a_raft_that_drifts_away_slowly_rests_a_centimetre_too_early_at_most() -> None:
+    """Its speed falls by a factor of e in 7.5 s: it took half a minute to be slow enough."""
+    raft = floating(box(2.0, 1.0, 0.5), 500.0, (52.0, 177.0, 208.0), added_mass=(100.0,) * 6, damping=(80.0,) * 3)
+    start = State(position=(0, 0, Afloat(raft, World(water=0.0)).floating()[0]), twist=(0, 0, 0, 0.003, 0, 0))
+    clip = simulate(raft, World(water=0.0), None, start, duration=12.0, step=1 / 24)
+    assert not clip.twists[-24:].any() and 0.0 < 0.003 * 600 / 80 - clip.positions[-1, 0] < 0.01
+
+
 def test_a_boat_in_gusts_does_not_rest() -> None:
     world = World(water=0.0, wind=(4, 0, 0), gusts=Gusts(0.5))
     assert simulate(vehsim.load_vehicle("boat"), world, None, duration=0.6, step=1 / 48).twists[1:].any(axis=1).all()

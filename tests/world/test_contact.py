@@ -15,7 +15,7 @@ from vehsim.simulation import Mover, simulate_together
 from vehsim.vehicles import Holonomic, Rig, State
 from vehsim.vehicles.definition.hydrodynamics import Hull
 from vehsim.world.contact.bodies import MovingBody
-from vehsim.world.contact.contact import Contact, ContactScene, damping_ratio
+from vehsim.world.contact.contact import DEPTH, Contact, ContactScene, damping_ratio
 from vehsim.world.obstacles.obstacles import box, moving
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.water.buoyancy import Afloat
@@ -278,8 +278,8 @@ def test_one_of_two_stacked_blocks_cannot_be_pushed_away(block):
     """What acts on the upper one passes to the floor through the lower one."""
     world = World(obstacles=[FLOOR], contact=Contact(0.4, 0.1, 2.0))
     scene = ContactScene({"low": block(), "high": block()}, world, world.contact)
-    sunk = 9.81 / world.contact.frequency**2  # as deep as their weights press the springs
-    places = (0, 0, 0.2 - 2 * sunk), (0, 0, 0.6 - 4 * sunk)
+    low, high = (9.81 / (world.contact.stiff_for(0.0, leaning) / DEPTH) ** 2 for leaning in (False, True))
+    places = (0, 0, 0.2 - 2 * low), (0, 0, 0.6 - 2 * low - 2 * high)  # as deep as their weights press the springs
     scene.wrenches(0.0, [State(position=place, twist=np.zeros(6)) for place in places])
     weight, push = 100.0 * 9.81, np.array([0, 0, 0, 1.0, 0, 0])
     high, low = (
@@ -290,6 +290,20 @@ def test_one_of_two_stacked_blocks_cannot_be_pushed_away(block):
     assert not all(scene.holds([np.zeros(6), 0.5 * weight * push])) and not all(
         scene.holds([weight * push, np.zeros(6)])
     )
+
+
+@pytest.mark.parametrize("restitution", [0.02, 0.1, 0.3])
+def test_a_helicopter_stands_still_on_its_skids(restitution):
+    """Its skids are far below its centre of mass, about which it rolls easily: dampers for its whole mass were too
+    strong for the step, and rolled it to and fro in every step without end."""
+    clip = vehsim.simulate(
+        vehsim.load_vehicle("helicopter"),
+        World(obstacles=[FLOOR], contact=Contact(0.4, restitution)),
+        None,
+        State(position=(0, 0, 0.01)),
+        duration=2.0,
+    )
+    assert not clip.twists[clip.times > 1.0].any() and abs(clip.positions[-1]).max() < 1e-3
 
 
 @pytest.mark.parametrize(("height", "still"), [(0.08, True), (0.8, False)])
@@ -309,7 +323,7 @@ def test_a_boat_on_a_beach_rests_in_small_waves(height, still, monkeypatch):
     monkeypatch.setattr(ContactScene, "_touching", counted)
     clip = vehsim.simulate(boat, world, (0.0, 0.0), start, duration=1.0, step=1 / 48)
     assert clip.twists[clip.times > 0.5].any() != still
-    assert (evaluations[0] < 1000) == still
+    assert (evaluations[0] < 600) == still
 
 
 def test_a_block_settles_in_few_evaluations(block, monkeypatch):

@@ -5,7 +5,9 @@ This module gives the place, velocity and compliance of their points; `contact.p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,11 @@ class Body:
     reach: float
     corners: Array
     inverse_inertia: Array
+
+    @cached_property
+    def root_of_inverse(self) -> Array:
+        """``L`` with ``L L^T`` the inverse inertia."""
+        return np.asarray(np.linalg.cholesky(self.inverse_inertia))
 
 
 @dataclass(frozen=True)
@@ -71,10 +78,16 @@ class MovingBody:
         """The same (n, 6) of each force."""
         return np.concatenate([cross(places - self.centre, forces) @ self.R_wr, forces @ self.R_wr], axis=1)
 
-    def yielding(self, place: Array, normal: Array) -> float:
-        """The inverse of the effective mass for a push along ``normal``, 1/kg."""
-        unit = self.wrench(place[None], normal[None])
-        return float(unit @ self.body.inverse_inertia @ unit)
+    def damping(self, places: Array, normals: Array, along: Array, across: Array) -> Array:
+        """Of its twist, (6, 6), by dampers ``along`` the normals and ``across`` them (n,) N s/m."""
+        units = self.wrenches(np.repeat(places, 3, axis=0), np.tile(np.eye(3), (len(places), 1)))
+        upright = self.wrenches(places, normals)
+        return np.asarray((units.T * np.repeat(across, 3)) @ units + (upright.T * (along - across)) @ upright)
+
+    def yielding(self, place: Array) -> Array:
+        """The change of velocity (3, 3) at a place by impulses along the world's axes, 1/kg."""
+        units = self.wrenches(np.tile(place, (3, 1)), np.eye(3))
+        return np.asarray(units @ self.body.inverse_inertia @ units.T)
 
 
 class Led:
@@ -101,5 +114,19 @@ class Led:
     def wrench(self, places: Array, forces: Array) -> Array:
         return np.zeros(6)
 
-    def yielding(self, place: Array, normal: Array) -> float:
-        return 0.0
+    def yielding(self, place: Array) -> Array:
+        return np.zeros((3, 3))
+
+
+def damping_rate(body: MovingBody, damping: Array) -> float:
+    """The fastest rate of decay of a body's motion by ``damping`` (6, 6) of its twist, 1/s."""
+    root = body.body.root_of_inverse
+    return float(np.linalg.eigvalsh(root.T @ damping @ root)[-1])
+
+
+def effective(yielding: Array, normal: Array) -> tuple[float, float]:
+    """The effective mass for a push along ``normal``, and the least for one across it, kg."""
+    across = np.eye(3) - np.outer(normal, normal)
+    sideways = across @ yielding @ across  # its eigenvalues: zero and two more
+    half, square = float(np.trace(sideways)) / 2, float((sideways * sideways).sum()) / 2
+    return 1 / float(normal @ yielding @ normal), 1 / (half + math.sqrt(max(square - half**2, 0.0)))

@@ -25,7 +25,7 @@ from vehsim.integrators.carried import carried, carry_on
 from vehsim.integrators.environment import Environment
 from vehsim.lie.quaternions import matrices
 from vehsim.vehicles.definition.base import State
-from vehsim.world.contact.bodies import Body, Led, MovingBody, MovingObstacle
+from vehsim.world.contact.bodies import Body, Led, MovingBody, MovingObstacle, damping_rate, effective
 from vehsim.world.contact.grip import Grip
 from vehsim.world.contact.grounding import TOUCH, Points, Underside
 from vehsim.world.contact.rock import Rock
@@ -42,8 +42,9 @@ DEPTH = 0.012
 FIRM = 4.0
 """Speed for which a pair is stiff, over that at which it closes: impacts stay this much below `DEPTH`, except the
 fastest."""
-GENTLEST = 2.0
-"""The lowest such speed, m/s: the weight of what rests presses it in by 0.35 mm."""
+GENTLEST, GENTLEST_LEANING = 1.4, 2.8
+"""The lowest such speed, m/s: the weight of what rests presses it in by 0.7 mm; and where both bodies move, which add
+up in a stack, by half of that where each carries a body like itself."""
 SOFTENING = 0.25
 """Time in which a pair that stays in touch becomes as soft as its motion permits, by a factor of e, s: far longer than
 any impact."""
@@ -54,9 +55,9 @@ RESOLVED = 0.06
 the damper, which starts suddenly, dominates."""
 RESTING = 0.25
 """The same if nothing closes or rebounds faster than `GENTLE`."""
-DAMPED = 0.2
-"""The same over the damping ratio: with longer steps, a strong damper would alternate instead of coming to rest. Half
-as long where bodies lean on each other, since the dampers on one body add up."""
+DAMPED = 0.8
+"""Decay by dampers in a step: the wrench at its end follows from a velocity that is predicted with the wrench at its
+start, so that above 1 a damper alternates instead of coming to rest. All dampers on a body count."""
 GENTLE = 0.3
 """m/s"""
 SIDEWAYS = 0.7
@@ -105,14 +106,13 @@ class Contact:
         """The longest step during contact, s."""
         return self.step_of(self.stiff_for(0.0), False)
 
-    def stiff_for(self, closing: float) -> float:
-        """The speed for which a pair is stiff that closes at ``closing`` m/s."""
-        return min(max(FIRM * closing, GENTLEST), float(self.speed))
+    def stiff_for(self, closing: float, leaning: bool = False) -> float:
+        """The speed for which a pair is stiff that closes at ``closing`` m/s; ``leaning``: both bodies move."""
+        return min(max(FIRM * closing, GENTLEST_LEANING if leaning else GENTLEST), float(self.speed))
 
-    def step_of(self, speed: float, impact: bool, leaning: bool = False) -> float:
-        """The longest step of a pair that is stiff for ``speed`` m/s, s; ``leaning``: both bodies move."""
-        damped = (DAMPED / 2 if leaning else DAMPED) / max(self.damping, 1e-9)
-        phase = RESOLVED / (1 + self.damping) if impact else min(RESTING, damped)
+    def step_of(self, speed: float, impact: bool) -> float:
+        """The longest step of a pair that is stiff for ``speed`` m/s, s."""
+        phase = RESOLVED / (1 + self.damping) if impact else min(RESTING, DAMPED / max(2 * self.damping, 1e-9))
         return phase * DEPTH / speed
 
     @property
@@ -268,9 +268,8 @@ class ContactScene:
         if self._last is not None and not self._moving_obstacles and all(map(State.same, states, self._last[0])):
             self._note(t, self._last[2])
             return self._last[1]
-        moving: list[MovingBody | Led] = [
-            MovingBody(body, state) for body, state in zip(self.bodies, states, strict=True)
-        ]
+        vehicles = [MovingBody(body, state) for body, state in zip(self.bodies, states, strict=True)]
+        moving: list[MovingBody | Led] = [*vehicles]
         moving += [Led(obstacle, self._start_time + t) for obstacle in self._moving_obstacles]
         pairs = self._touching(moving)
         if not self._begun:
@@ -279,6 +278,7 @@ class ContactScene:
         total = [np.zeros(6) for _ in moving]
         forces: Forces = {}
         grips, before, longest = self._grips, self._pushes, self.contact.step
+        damping: dict[int, Array] = {}
         if self._nearing:
             longest = self.contact.step_of(self.contact.stiff_for(self._nearing), self._nearing > GENTLE)
         softer = math.exp(-min(max(t - self._time, 0.0), self.next_step) / SOFTENING)
@@ -287,9 +287,14 @@ class ContactScene:
         for (a, b, name), points in pairs.items():
             one, other = moving[a], None if b is None else moving[b]
             grip = self._grips[a, b, name] = grips.get((a, b, name)) or Grip(one, other)
-            push, closing, kick = self._push(one, other, points, grip, softer)
-            impact, leaning = max(kick, float(closing.max())) > GENTLE, self._yielding(b) is not None
-            longest = min(longest, self.contact.step_of(grip.speed, impact, leaning))
+            leaning = self._yielding(b) is not None
+            push, closing, kick, dampers = self._push(one, other, points, grip, softer, leaning)
+            impact = max(kick, float(closing.max())) > GENTLE
+            longest = min(longest, self.contact.step_of(grip.speed, impact))
+            both = (a,) if (yields := self._yielding(b)) is None else (a, yields)
+            for k in both:  # two may move against each other
+                more = len(both) * vehicles[k].damping(points.places, points.normals, *dampers)
+                damping[k] = damping[k] + more if k in damping else more
             self._pushes[a, b, name] = points, push, closing
         for (a, b, name), (points, push, closing) in self._pushes.items():
             total[a] += moving[a].wrench(points.places, push)
@@ -298,6 +303,8 @@ class ContactScene:
                 assert b is not None
                 total[b] += moving[b].wrench(points.places, -push)
                 forces[(b, _plain(self.bodies[a].name))] = points.places, -push, closing
+        rates = [damping_rate(vehicles[k], total) for k, total in damping.items()]
+        longest = min([longest, *(DAMPED / max(rate, 1e-9) for rate in rates)])
         self.next_step = max(longest, AHEAD * self._soon)
         self._see_rest(moving)
         self._note(t, forces)
@@ -409,28 +416,40 @@ class ContactScene:
         return pairs
 
     def _push(
-        self, a: MovingBody | Led, b: MovingBody | Led | None, points: Points, grip: Grip, softer: float
-    ) -> tuple[Array, Array, float]:
-        """Forces (n, 3) N on ``a`` and closing speeds (n,) m/s of a pair's points; and the rebound speed of a spring
-        with their combined push, m/s."""
+        self,
+        a: MovingBody | Led,
+        b: MovingBody | Led | None,
+        points: Points,
+        grip: Grip,
+        softer: float,
+        leaning: bool,
+    ) -> tuple[Array, Array, float, tuple[Array, Array]]:
+        """Forces (n, 3) N on ``a`` and closing speeds (n,) m/s of a pair's points; the rebound speed of a spring with
+        their combined push, m/s; and their dampers along the normals and across them, (n,) N s/m each."""
         c, normals = self.contact, points.normals
         share = points.depths / points.depths.sum()
         middle, mean = share @ points.places, share @ normals
         length = float(np.linalg.norm(mean))
         mean = mean / length if length > 1e-6 else normals[0]
-        mass = 1 / (a.yielding(middle, mean) + (0.0 if b is None else b.yielding(middle, mean)))
+        yielding = a.yielding(middle) + (0.0 if b is None else b.yielding(middle))
+        mass, sideways = effective(yielding, mean)
         velocity = a.velocity(points.places) - (0.0 if b is None else b.velocity(points.places))
         closing = -(velocity * normals).sum(axis=1)
-        grip.speed = max(c.stiff_for(float(closing.max())), softer * grip.speed)
+        grip.speed = max(c.stiff_for(float(closing.max()), leaning), softer * grip.speed)
         frequency = grip.speed / DEPTH
         stiff = frequency * points.depths + 2 * c.damping * closing
         pressure = np.maximum(0.0, share * mass * frequency * stiff)
         slide = velocity + closing[:, None] * normals
         load = float(pressure.sum())  # where there is more of it, friction holds more: all points slide at once
         masses = mass * (pressure / load if load > 0 else share)
-        hold = grip.hold(a, b, middle, mean, points, slide, masses, SIDEWAYS * frequency, c.friction * pressure)
+        across = 2 * SIDEWAYS * frequency * math.sqrt(sideways / mass) * masses  # critical
+        hold = grip.hold(
+            a, b, middle, mean, points, slide, (SIDEWAYS * frequency) ** 2 * masses, across, c.friction * pressure
+        )
         force = pressure[:, None] * normals + hold
-        return force, closing, load / (mass * frequency)
+        along = np.where(pressure > 0, 2 * c.damping * frequency * mass * share, 0.0)
+        across = np.minimum(across, c.friction * pressure / np.maximum(np.linalg.norm(slide, axis=1), 1e-300))
+        return force, closing, load / (mass * frequency), (along, across)
 
     def _note(self, t: float, forces: Forces) -> None:
         """Open events, and add the impulse since the last time."""

@@ -32,22 +32,22 @@ class Grip:
         normal: Array,
         points: Points,
         slide: Array,
-        masses: Array,
-        frequency: float,
+        springs: Array,
+        dampers: Array,
         most: Array,
     ) -> Array:
-        """Forces (n, 3) N on ``a`` along the surface, at most ``most`` (n,) N, of springs and critical dampers with
-        ``masses`` (n,) kg and an angular ``frequency``, at points that slide with ``slide`` (n, 3) m/s."""
+        """Forces (n, 3) N on ``a`` along the surface, at most ``most`` (n,) N, of ``springs`` (n,) N/m and ``dampers``
+        (n,) N s/m at points that slide with ``slide`` (n, 3) m/s."""
         self._follow(a, b, middle, normal)
         stretch = self.shift + cross(self.twist, points.places - middle)
         stretch -= (stretch * points.normals).sum(axis=1)[:, None] * points.normals
-        spring = -(frequency**2) * masses[:, None] * stretch
+        spring = -springs[:, None] * stretch
         pull, limit = float(np.linalg.norm(spring, axis=1).sum()), float(most.sum())
         self.slides = pull > limit
         if self.slides:
             share = limit / pull
             self.shift, self.twist, spring = share * self.shift, share * self.twist, share * spring
-        force = spring - 2 * frequency * masses[:, None] * slide
+        force = spring - dampers[:, None] * slide
         size = np.linalg.norm(force, axis=1)
         return np.asarray(force * np.minimum(1.0, most / np.maximum(size, 1e-300))[:, None])
 

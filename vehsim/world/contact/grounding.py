@@ -165,17 +165,17 @@ def _crossings(terrain: Any, edges: Array) -> tuple[Array, Array, Array]:
     directions (n, 3) of the former and, seen from above, of the latter (n, 2)."""
     grid = (edges[:, :, :2] - np.asarray(terrain.origin)) / np.asarray(terrain.cell)
     x, y = grid[:, :, 0], grid[:, :, 1]
-    found = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))]
-    for lines, direction in ((x, (0, 1)), (y, (1, 0)), (x - y, terrain.cell)):
-        low, high = lines.min(axis=1), lines.max(axis=1)
-        counts = np.where(low < high, np.maximum(np.floor(high) - np.ceil(low) + 1, 0), 0).astype(int)
-        edge = np.repeat(np.arange(len(edges)), counts)
-        number = np.ceil(low)[edge] + np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
-        start, end = lines[edge].T
-        along = edges[edge, 1] - edges[edge, 0]
-        places = edges[edge, 0] + ((number - start) / (end - start))[:, None] * along
-        found.append((places, along, np.tile(np.asarray(direction) / np.hypot(*direction), (len(edge), 1))))
-    return tuple(np.concatenate(column) for column in zip(*found, strict=True))  # type: ignore[return-value]  # three columns
+    ends = np.concatenate([x, y, x - y])  # of every edge, in units of the lines' spacing
+    first = np.ceil(ends.min(axis=1))
+    counts = np.where(ends[:, 0] != ends[:, 1], np.maximum(np.floor(ends.max(axis=1)) - first + 1, 0), 0).astype(int)
+    pair = np.repeat(np.arange(len(ends)), counts)
+    kind, edge = np.divmod(pair, max(len(edges), 1))
+    number = first[pair] + np.arange(len(pair)) - (np.cumsum(counts) - counts)[pair]
+    start, end = ends[pair].T
+    along = (edges[:, 1] - edges[:, 0])[edge]
+    places = edges[edge, 0] + ((number - start) / (end - start))[:, None] * along
+    directions = np.array([(0.0, 1.0), (1.0, 0.0), np.asarray(terrain.cell) / np.hypot(*terrain.cell)])
+    return places, along, directions[kind]
 
 
 def _from_faces(terrain: Any, corners: Array) -> Points:

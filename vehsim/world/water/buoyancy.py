@@ -70,8 +70,9 @@ PLACES = 9
 """Places along and across the hull at which a boat that starts on waves meets their surface."""
 INSTANT = 1e-3
 """Time from which its first velocity is taken, s."""
-STILL = 1e-4
-"""A hull is at rest on calm water if no point of it is faster, m/s, nor accelerates more, m/s^2."""
+STILL, UNMOVED = 1e-3, 1e-4
+"""A hull is at rest on calm water if no point of it is faster, m/s, nor accelerates more, m/s^2: it drifts on by a
+centimetre at most if its speed falls by a factor of e in ten seconds."""
 NUDGE = 1e-3
 """Share of its size, and angle in rad, by which a floating hull is moved to see whether it comes back."""
 NEUTRAL = 1e-6
@@ -326,7 +327,7 @@ class Afloat(Environment):
 
     def balances(self, acceleration: Array) -> bool:
         assert self._last is not None
-        return self._fastest(acceleration[:3], acceleration[3:]) < STILL and self.stable(self._last[0])
+        return self._fastest(acceleration[:3], acceleration[3:]) < UNMOVED and self.stable(self._last[0])
 
     def stable(self, state: State) -> bool:
         """Whether calm water brings the hull back to its heave, roll and pitch in ``state``."""
