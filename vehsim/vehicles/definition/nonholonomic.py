@@ -282,6 +282,10 @@ def _check_laws(vehicle: Nonholonomic) -> None:
     g, r, u, xi, c, wind = symbols(vehicle)
     vehicle._constraints(r)
     vehicle.force(g, r, u, xi, c, wind)
+    # on a terrain, the vehicle's own: that of the ground takes long to build
+    potential = getattr(vehicle.potential_energy, "own", vehicle.potential_energy)
+    if potential is not None:
+        law(vehicle, "potential_energy", 1, potential, g, r)
     lagrangian = law(vehicle, "lagrangian", 1, vehicle.lagrangian, r, u, xi)
     velocities = ca.vertcat(u, xi)
     mass = ca.hessian(lagrangian, velocities)[0]
