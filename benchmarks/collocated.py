@@ -52,9 +52,10 @@ class Collocation(Transcription):
         def slope(x: Any, s: float) -> Any:
             return flow(x, v["c0"] + s * (v["c1"] - v["c0"]), c_rate, wind)
 
-        defect = self.rule(slope, v["x"], v["x1"], v["h"])
+        middle = ca.SX.sym("middle", v["x"].shape[0])
+        at, defect = self.rule(slope, v["x"], v["x1"], v["h"], middle)
         y = ca.vertcat(*v.values())
-        return Element("dynamics", y, {"wind": wind}, g=defect)
+        return Element("dynamics", y, {"wind": wind}, g=defect, inner=None if at is None else (middle, at))
 
     @property
     def _flow(self) -> ca.Function:
@@ -72,18 +73,18 @@ class Collocation(Transcription):
         return ca.Function("flow", [v["x"], v["c0"], c_rate, wind], [ca.densify(ca.vertcat(g_dot, r_dot, pi_dot))])
 
 
-def _trapezoidal(slope: Any, x: Any, x1: Any, h: Any) -> Any:
-    return x1 - x - h / 2 * (slope(x, 0.0) + slope(x1, 1.0))
+def _trapezoidal(slope: Any, x: Any, x1: Any, h: Any, middle: Any) -> tuple[Any, Any]:
+    return None, x1 - x - h / 2 * (slope(x, 0.0) + slope(x1, 1.0))
 
 
-def _hermite_simpson(slope: Any, x: Any, x1: Any, h: Any) -> Any:
+def _hermite_simpson(slope: Any, x: Any, x1: Any, h: Any, middle: Any) -> tuple[Any, Any]:
     first, last = slope(x, 0.0), slope(x1, 1.0)
-    middle = slope((x + x1) / 2 + h / 8 * (first - last), 0.5)
-    return x1 - x - h / 6 * (first + 4 * middle + last)
+    return (x + x1) / 2 + h / 8 * (first - last), x1 - x - h / 6 * (first + 4 * slope(middle, 0.5) + last)
 
 
 SCHEMES = {"trapezoidal": _trapezoidal, "hermite-simpson": _hermite_simpson}
-"""Scheme -> the defect of a segment, from the slopes at its fractions, the states at its ends and its duration."""
+"""Scheme -> the state at the middle of a segment, if it needs one, and the defect, from the slopes at its fractions,
+the states at its ends, its duration, and symbols of the state at the middle."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,7 +118,9 @@ class Staged:
             element, (n, count) = use.element, variables.shape
             y = ca.reshape(_at(whole, variables.T.ravel()), n, count)
             given = ca.reshape(_at(p, use.parameters.T.ravel()), *use.parameters.shape)
-            arguments = (y, ca.vertcat(given, ca.DM(use.constants)) if len(use.constants) else given)
+            given = ca.vertcat(given, ca.DM(use.constants)) if len(use.constants) else given
+            inner = [] if element.inner is None else [use.mapped(element.inners)(y, given)]
+            arguments = (y, ca.vertcat(given, *inner))
             cost, values = use.mapped(element.value)(*arguments)
             if not element.f.is_zero():
                 f += ca.sum2(cost)
@@ -203,7 +205,7 @@ def _curvature(use: Use) -> tuple[ca.Function, Indices, Indices]:
     """``(y, p, lam_f, lam_g) -> (gradient, entries)`` of an element's Lagrangian and its Hessian, and their pattern."""
     element = use.element
     lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", use.rows)
-    hessian, gradient = ca.hessian(lam_f * element.f + ca.dot(lam_g, element.g), element.y)
+    hessian, gradient = element.curvature(lam_f * element.f + ca.dot(lam_g, element.g))
     entries = hessian.nz[:] if hessian.nnz() else ca.SX(0, 1)
     results = ca.cse([ca.densify(gradient), ca.reshape(entries, hessian.nnz(), 1)])
     i, j = (np.asarray(part, np.intp) for part in hessian.sparsity().get_triplet())

@@ -362,6 +362,32 @@ def test_elements_agree_with_whole_problem_derivatives(helicopter):
     np.testing.assert_allclose(np.array(functions["hess_lag"](*at[:2], 2.0, at[2])), expected[2], atol=1e-13)
 
 
+def test_derivatives_through_inner_expressions_are_those_of_the_whole():
+    from vehsim.planning.problem.elements import Element
+
+    y, p, m = ca.SX.sym("y", 3), ca.SX.sym("p", 2), ca.SX.sym("m", 2)
+    inner = ca.vertcat(y[0] * y[1] ** 2 + p[1], ca.sin(y[2]) * y[0])
+    g, f = ca.vertcat(m[0] * m[1] * y[2], ca.exp(m[0]) + y[1] * m[1], y[0]), y[0] ** 2
+    elements = (
+        Element("a", y, {"p": p}, f=f, g=g, inner=(m, inner)),
+        Element("b", y, {"p": p}, f=f, g=ca.substitute(g, m, inner)),
+    )
+    made = []
+    for element in elements:
+        problem = NonlinearProgram(4)
+        problem.add(element, np.array([[0, 1, 2], [3, 2, 0]]).T)
+        made.append(problem.functions())
+    chance = np.random.default_rng(3)
+    x, given, lam = chance.normal(size=4), chance.normal(size=2), chance.normal(size=6)
+    for name, more in (("nlp", ()), ("grad_f", ()), ("jac_g", ()), ("hess_lag", (2.0, lam))):
+        for ours, whole in zip(*(_all(functions[name](x, given, *more)) for functions in made), strict=True):
+            np.testing.assert_allclose(np.array(ours), np.array(whole), atol=1e-13, err_msg=name)
+
+
+def _all(results):
+    return results if isinstance(results, tuple) else (results,)
+
+
 def test_state_is_untouched_by_planning(helicopter):
     """The first state of a plan is a state that the integrator accepts and returns."""
     state = State(position=(1, 2, 3), twist=np.arange(6) / 10)

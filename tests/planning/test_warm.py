@@ -10,7 +10,7 @@ from tests.planning.test_plan import REST, tug
 from vehsim import Mark
 from vehsim.planning.constraints import clearance
 from vehsim.planning.constraints.clearance import Clearance
-from vehsim.planning.problem.multipliers import transferred
+from vehsim.planning.problem.multipliers import _of_order, transferred
 from vehsim.world.terrain.terrain import Terrain
 
 
@@ -25,6 +25,18 @@ def flight(vehicle, segments, goal=(40, 10, 35)):
         Mark(121, position=goal, heading=20, velocity=REST),
     ]
     return marks, vehsim.plan(vehicle, None, marks, segments=segments, refine=False)
+
+
+def test_multipliers_of_one_order_are_those_of_the_other():
+    """The same linear combination of rows: those of either end at order 2, and of the middle and the end at order 4."""
+    chance = np.random.default_rng(1)
+    middle, end, rest, given = chance.normal(size=(4, 5, 3))
+    given = np.hstack([given, chance.normal(size=(5, 6))])
+    before = np.hstack([middle + end / 2, middle - end / 2, rest])  # as order 2 has them
+    after = np.hstack([middle, end, rest])
+    there = _of_order(given, 4, 3)
+    np.testing.assert_allclose((there * after).sum(axis=1), (given * before).sum(axis=1))
+    np.testing.assert_allclose(_of_order(there, 2, 3), given)
 
 
 def with_multipliers(plan, multipliers):

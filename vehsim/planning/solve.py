@@ -67,12 +67,14 @@ def begin(
     marks, began = request.marks, time.monotonic()
     blocks = blocks_of(request, transcription, cover) if blocks is None else blocks
     fixed = fixed_durations(marks, request.fps)
-    if clip is None:
-        free = stretch * cruising(request, paths)
-    else:
-        free = np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1)
-    durations = np.where(np.isnan(fixed), free, fixed)
-    share_known_spans(durations, marks, request.fps)
+    durations = fixed
+    if np.isnan(fixed).any():
+        if clip is None:
+            free = stretch * cruising(request, paths)
+        else:
+            free = np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1)
+        durations = np.where(np.isnan(fixed), free, fixed)
+        share_known_spans(durations, marks, request.fps)
     held = np.array([mark.hold > 0 for mark in marks[:-1]])
     close = any(isinstance(block, ObstacleClearance) for block in blocks) or bool(landings(marks))
     coarse = coarse and math.isinf(request.vehicle.largest_step)  # interpolated, slips would exceed any grip

@@ -104,9 +104,10 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     cached by the content of the file and the files that it refers to, because loading USD takes longer than many a
     plan.
     """
-    key = str(asset), _content(asset), root
+    content = _content(asset)
+    key = str(asset), content, root
     kept = lookup("solids", key)
-    found, messages = _unpacked(kept) if kept is not None else (None, [])
+    found, messages = _unpacked(kept, {str(Path(asset).resolve()): content}) if kept is not None else (None, [])
     if found is None:
         from pxr import Sdf
 
@@ -226,11 +227,11 @@ def _packed(found: Sequence[Solid], messages: Sequence[str], files: Mapping[str,
     return packed([np.frombuffer(header.encode(), np.uint8), frames, *hulls])
 
 
-def _unpacked(content: bytes) -> tuple[list[Solid] | None, list[str]]:
-    """The result of `_packed`, and its warnings; None if a file has changed since."""
+def _unpacked(content: bytes, known: Mapping[str, str]) -> tuple[list[Solid] | None, list[str]]:
+    """The result of `_packed`, and its warnings; None if a file has changed since. ``known``: checksums of files."""
     header, frames, *hulls = unpacked(content)
     files, messages, names = json.loads(header.tobytes())
-    if any(_content(file) != checksum for file, checksum in files.items()):
+    if any((known.get(file) or _content(file)) != checksum for file, checksum in files.items()):
         return None, []
     each, rows = iter(hulls), zip(names, frames, strict=True)
     return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in rows], messages

@@ -38,6 +38,8 @@ def transferred(
         rows = np.zeros((use.count, use.rows))
         if found and use.count:
             rows = _at(fine.instants(use.variables[0]), *found.pop(0))
+            if use.element.name == "dynamics" and coarse.order != fine.order:
+                rows = _of_order(rows, fine.order, fine.sizes[2])
             if use.count > 1:
                 rows[:, use.element.lower < use.element.upper] *= share
         g.append(rows.ravel())
@@ -47,6 +49,18 @@ def transferred(
             x[there] = share * _at(fine.instants(there[0]), coarse.instants(here[0]), multipliers.x[here].T).T
     x[fine.lengths] = multipliers.x[coarse.lengths]
     return Multipliers(x, np.concatenate(g), multipliers.cost)
+
+
+def _of_order(rows: Array, order: int, n: int) -> Array:
+    """Multipliers (segments, k) of the other order's equations as those of this ``order``.
+
+    The first two blocks of ``n`` belong to the momentum. Those of order 2, one for either end, correspond to the
+    middle's plus and minus half of the end's at order 4.
+    """
+    first, second, rest = np.split(rows, [n, 2 * n], axis=1)
+    if order == 4:
+        return np.hstack([first + second, (first - second) / 2, rest])
+    return np.hstack([first / 2 + second, first / 2 - second, rest])
 
 
 def _both(coarse: Layout, fine: Layout) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:

@@ -25,7 +25,8 @@ Expr = Any
 def simpson(transcription: Transcription) -> Element:
     """The equations of a segment (x, z, c0, c1, x1, h); ``z`` is the velocity at its middle.
 
-    Rows and parameters are those of `Transcription.variational`: two of momentum, then pose and joints.
+    Rows and parameters are those of `Transcription.variational`: two of momentum, of the middle and of the end, then
+    pose and joints.
     """
     t, m = transcription, transcription.mechanics
     v, wind = t.symbols("x", "z", "c0", "c1", "x1", "h"), ca.SX.sym("wind", 3)
@@ -41,8 +42,10 @@ def simpson(transcription: Transcription) -> Element:
     g_dot, _, push = laws(g, r, u, xi, a, wind, cells[:, 0])
     g1_dot, _, push1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1])
     gm, rm = (g + g1) / 2 + h / 8 * (g_dot - g1_dot), (r + r1) / 2 + h / 8 * (u - u1)
-    um, xim = free_velocity(t.vehicle, rm, v["z"], m.driven(middle))
-    gm_dot, pim, pushm = laws(gm, rm, um, xim, middle, wind, cells[:, 2])
+    pose = ca.SX.sym("pose", gm.shape[0] + rm.shape[0])
+    g_, r_ = ca.vertsplit(pose, [0, gm.shape[0], pose.shape[0]])
+    um, xim = free_velocity(t.vehicle, r_, v["z"], m.driven(middle))
+    gm_dot, pim, pushm = laws(g_, r_, um, xim, middle, wind, cells[:, 2])
 
     next_g, next_r = (
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
@@ -50,17 +53,18 @@ def simpson(transcription: Transcription) -> Element:
     missed = next_g - g1
     if t.vehicle.group.size > t.vehicle.group.dim:
         missed[0:4] = _unturned(g[0:4], g1[0:4], _rotation(xi[0:3], xim[0:3], xi1[0:3], h))
-    inner = pim - (pi + pi1) / 2 - h / 8 * (push - push1)
-    outer = pi1 - pi - h / 6 * (push + 4 * pushm + push1)
-    # as in DMOC, one row for either end: then multipliers of one order fit the other
-    left, right = inner + outer / 2, inner - outer / 2
-    residuals = (left / t.momentum_scale, right / t.momentum_scale, missed, next_r - r1)
+    at_middle = pim - (pi + pi1) / 2 - h / 8 * (push - push1)
+    at_end = pi1 - pi - h / 6 * (push + 4 * pushm + push1)
+    residuals = (at_middle / t.momentum_scale, at_end / t.momentum_scale, missed, next_r - r1)
     space = None
     if weight is not None:
         places = ca.horzcat(*(weight.place(at) for at in (g, g1, gm)))
         models = ca.vertcat(ca.SX.sym("places", 2, 3), cells)
         space = SpatialField(places, models, lambda count, order: weight.relief.cells(count))
-    return Element("dynamics", ca.vertcat(*v.values()), {"wind": wind}, g=ca.vertcat(*residuals), space=space)
+    return Element(
+        "dynamics", ca.vertcat(*v.values()), {"wind": wind}, g=ca.vertcat(*residuals), space=space,
+        inner=(pose, ca.vertcat(gm, rm)),
+    )  # fmt: skip
 
 
 def _rotation(first: Expr, middle: Expr, last: Expr, h: Expr) -> Expr:

@@ -156,7 +156,8 @@ def ipopt_options(
             **_ENDS[end],
             **_BARRIERS[start],
             "obj_scaling_factor": 1 / magnitude,
-        }
+        },
+        "no_nlp_grad": True,  # not used; to make it takes longer than all the rest
     }
 
 
