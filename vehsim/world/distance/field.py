@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-VERSION = 4
+VERSION = 5
 """Part of the name of every cached field: increase it if the same terrain would give another field."""
 MOST_KEPT = 500_000_000
 """Largest size of the cached fields, bytes: a hundred of usual size."""
@@ -369,19 +369,18 @@ def _around(
     neighbours measures to. The result is never too small; in the canyon it is 1 cm too large on average in the air, and
     7 cm in the rock.
     """
-    nearest = _nearest_on(terrain)
     axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
     known = _touched(terrain, lower, shape, step)
-    feet, length = _feet(nearest, axes, known, progress, 0.0, 0.3)
-    away = _by_neighbours(axes, feet, _closest(known))
+    feet, length = _feet(terrain, axes, known, progress, 0.0, 0.3)
+    away = _by_neighbours(axes, feet, known)
     below = _rock(terrain, axes, away)
     near = (away < np.where(below, -NEAR[0], NEAR[1]) + step / 2) & ~known
-    more, lengths = _feet(nearest, axes, near, progress, 0.3, 1.0)
+    more, lengths = _feet(terrain, axes, near, progress, 0.3, 1.0)
     both = known | near
     known, near = known[both], near[both]
     every = np.empty((len(known), 3))
     every[known], every[near] = feet, more
-    away = _by_neighbours(axes, every, _closest(both))
+    away = _by_neighbours(axes, every, both)
     exact = np.empty(len(known))
     exact[known], exact[near] = length, lengths
     away[both] = exact
@@ -397,17 +396,19 @@ def _touched(terrain: Terrain, lower: Array, shape: NDArray[np.int64], step: flo
         np.clip(np.floor((corner - lower) / step).astype(int), 0, last) + extra
         for corner, extra in ((triangles.min(axis=1), 0), (triangles.max(axis=1), 2))
     )
-    count = np.zeros(shape + 1, np.int32)
+    size = tuple(shape + 1)
+    count = np.zeros(np.prod(size), np.int64)
     for which in product((0, 1), repeat=3):
-        at = np.where(which, end, first)
-        np.add.at(count, tuple(at.T), (-1) ** sum(which))
+        at = np.ravel_multi_index(tuple(np.where(which, end, first).T), size)
+        count += (-1) ** sum(which) * np.bincount(at, minlength=count.size)
+    count = count.reshape(size)
     for axis in range(3):
         np.cumsum(count, axis=axis, out=count)
     return np.asarray(count[:-1, :-1, :-1] > 0)
 
 
 def _feet(
-    nearest: Callable[[Array], Array],
+    terrain: Terrain,
     axes: Sequence[Array],
     wanted: NDArray[np.bool_],
     progress: Progress | None,
@@ -418,7 +419,7 @@ def _feet(
     distances (n,) m."""
     places = _places(axes, wanted)
     slabs = _slabs(len(places), "the terrain", progress, first, last)
-    feet = np.concatenate([np.zeros((0, 3)), *(nearest(places[slab]) for slab in slabs)])
+    feet = np.concatenate([np.zeros((0, 3)), *(terrain.nearest(places[slab]) for slab in slabs)])
     return feet, _length(feet - places)
 
 
@@ -435,31 +436,32 @@ def _closest(known: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.asarray(number[tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))])
 
 
-def _distances(axes: Sequence[Array], feet: Array, which: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Distances (nx, ny, nz) m of the grid's points from the ``feet`` (n, 3) m with the numbers ``which``
-    (nx, ny, nz), in single precision."""
-    squared = np.zeros(which.shape, np.float32)
-    for k, axis in enumerate(axes):
-        along = (axis - axis[0]).astype(np.float32).reshape([-1 if j == k else 1 for j in range(3)])
-        squared += ((feet[:, k] - axis[0]).astype(np.float32)[which] - along) ** 2
+def _by_neighbours(axes: Sequence[Array], feet: Array, known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distances (nx, ny, nz) m of the grid's points from the surface points of the closest of the ``known``
+    (nx, ny, nz), which are ``feet`` (n, 3) m, or from that of one of their six neighbours if that is nearer, in single
+    precision."""
+    which = _closest(known)
+    there = [(feet[:, k] - axis[0]).astype(np.float32)[which] for k, axis in enumerate(axes)]
+    here = [
+        (axis - axis[0]).astype(np.float32).reshape([-1 if j == k else 1 for j in range(3)])
+        for k, axis in enumerate(axes)
+    ]
+    squared = _squared(there, here)
+    for axis, ends in product(range(3), ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None)))):
+        own, other = ((slice(None),) * axis + (end,) for end in ends)
+        some = [*here]
+        some[axis] = here[axis][own]
+        others = _squared([part[other] for part in there], some)
+        nearer = others < squared[own]
+        np.copyto(squared[own], others, where=nearer)
+        for part in there:
+            np.copyto(part[own], part[other], where=nearer)
     return np.sqrt(squared)
 
 
-def _by_neighbours(axes: Sequence[Array], feet: Array, which: NDArray[np.int32]) -> NDArray[np.float32]:
-    """The same, where a point measures to the foot of one of its six neighbours if that is nearer.
-
-    Changes ``which``.
-    """
-    away = _distances(axes, feet, which)
-    for axis, ends in product(range(3), ((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None)))):
-        here, there = ((slice(None),) * axis + (end,) for end in ends)
-        part = [*axes]
-        part[axis] = axes[axis][ends[0]]
-        others = _distances(part, feet, which[there])
-        nearer = others < away[here]
-        np.copyto(which[here], which[there], where=nearer)
-        np.copyto(away[here], others, where=nearer)
-    return away
+def _squared(a: Sequence[NDArray[np.float32]], b: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """The squared distances between points, given by their coordinates."""
+    return np.asarray(sum((one - other) ** 2 for one, other in zip(a, b, strict=True)))
 
 
 def _rock(terrain: Terrain, axes: Sequence[Array], away: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -494,28 +496,12 @@ def _length(vectors: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("...i,...i", vectors, vectors)))
 
 
-def _nearest_on(terrain: Terrain) -> Callable[[Array], Array]:
-    """The closest point of the terrain's triangles to each of the points (..., 3) m."""
-    import igl
-
-    vertices, faces = np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces)
-    tree = igl.AABB()
-    tree.init(vertices, faces)
-
-    def law(points: Array) -> Array:
-        _, _, there = tree.squared_distance(vertices, faces, np.ascontiguousarray(points.reshape(-1, 3)))
-        return np.asarray(there).reshape(points.shape)
-
-    return law
-
-
 def _to_terrain(terrain: Terrain, levels: int) -> Callable[[Array], Array]:
     """Signed distances (n,) m of columns of ``levels`` points (n, 3) m to the terrain."""
-    nearest = _nearest_on(terrain)
 
     def law(points: Array) -> Array:
         below = _below(terrain, points.reshape(-1, levels, 3)).ravel()
-        return np.where(below, -1.0, 1.0) * _length(nearest(points) - points)
+        return np.where(below, -1.0, 1.0) * _length(terrain.nearest(points) - points)
 
     return law
 

@@ -80,7 +80,6 @@ class Scene:
     """
 
     def __init__(self, terrain: Terrain, rig: Rig, carriers: Sequence[str] = ()) -> None:
-        import igl
         import mujoco
 
         spec = mujoco.MjSpec()
@@ -103,9 +102,6 @@ class Scene:
             [np.linalg.norm(c - m, axis=1).max() for c, m in zip(self._corners, self._centres, strict=True)]
         )
         self._reach = max(float(np.linalg.norm(c, axis=1).max()) for c in self._corners)
-        self._mesh = (np.ascontiguousarray(terrain.vertices), np.ascontiguousarray(terrain.faces))
-        self._tree = igl.AABB()
-        self._tree.init(*self._mesh)
 
     def clearance(
         self,
@@ -123,12 +119,10 @@ class Scene:
         own = [part_poses(self.rig, path, channels, positions, orientations) for path in self.carriers]
         places, turned = (np.stack(pose, axis=1) for pose in zip(*own, strict=True))
         bounds, beyond = self._centre_distances(places, turned), self._beyond(positions)
-        result = np.empty(len(positions))
+        result, moved = np.empty(len(positions)), self._motion(places, turned)
         for k in range(len(positions)):
-            expected = np.inf  # at most the distance of the previous pose, plus the greatest displacement since
-            if k:
-                moved = self._motion(places[k - 1 : k + 1], turned[k - 1 : k + 1])
-                expected = max(result[k - 1], 0.0) + moved
+            # at most the distance of the previous pose, plus the greatest displacement since
+            expected = max(result[k - 1], 0.0) + moved[k - 1] if k else np.inf
             self._place(places[k], turned[k])
             result[k] = self._nearest(bounds[k], expected)
             if result[k] > 0 and beyond[k]:
@@ -183,20 +177,21 @@ class Scene:
         """Signed distance (n, hulls) m of every hull's centre from the surface, at poses (n, carriers, ...)."""
         rotation = matrices(orientations.reshape(-1, 4)).reshape(*orientations.shape[:2], 3, 3)[:, self._owners]
         centres = positions[:, self._owners] + np.einsum("nhij,hj->nhi", rotation, self._centres)
-        points = np.ascontiguousarray(centres.reshape(-1, 3))
-        squared, _, _ = self._tree.squared_distance(*self._mesh, points)
+        points = centres.reshape(-1, 3)
+        away = np.linalg.norm(self.terrain.nearest(points) - points, axis=1)
         above = points[:, 2] > self.terrain.height(points[:, :2])
-        return np.asarray((np.where(above, 1, -1) * np.sqrt(squared)).reshape(centres.shape[:2]))
+        return np.asarray((np.where(above, 1, -1) * away).reshape(centres.shape[:2]))
 
     def _beyond(self, positions: Array) -> NDArray[np.bool_]:
         """At which ``positions`` (n, 3) m hulls may reach beyond the terrain's borders, (n,)."""
         low, high = self.terrain.lower[:2] + self._reach, self.terrain.upper[:2] - self._reach
         return np.asarray(((positions[:, :2] < low) | (positions[:, :2] > high)).any(axis=1))
 
-    def _motion(self, positions: Array, orientations: Array) -> float:
-        """An upper bound of the displacement of any point of the hulls between two poses (2, carriers, ...), m."""
-        turn = 2 * np.arccos(np.minimum(1.0, np.abs(np.einsum("ci,ci->c", *orientations))))
-        return float((np.linalg.norm(positions[1] - positions[0], axis=1) + turn * self._reach).max())
+    def _motion(self, positions: Array, orientations: Array) -> Array:
+        """An upper bound (n - 1,) m of the displacement of any point of the hulls from each of the poses
+        (n, carriers, ...) to the next."""
+        turn = 2 * np.arccos(np.minimum(1.0, np.abs(np.einsum("nci,nci->nc", orientations[:-1], orientations[1:]))))
+        return np.asarray((np.linalg.norm(np.diff(positions, axis=0), axis=2) + turn * self._reach).max(axis=1))
 
     def _place(self, positions: Array, orientations: Array) -> None:
         """Place the carriers at poses (carriers, 3) m and (carriers, 4)."""

@@ -10,6 +10,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -89,6 +90,22 @@ class HeightGrid:
         index = np.arange(rows * cols).reshape(rows, cols)
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         return np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
+
+    def nearest(self, points: ArrayLike) -> Array:
+        """The points (n, 3) m of the triangles that are closest to ``points`` (n, 3) m."""
+        points = np.ascontiguousarray(points, dtype=float).reshape(-1, 3)
+        _, _, there = self._tree.squared_distance(self.vertices, self.faces, points)
+        return np.asarray(there)
+
+    @cached_property
+    def _tree(self) -> Any:
+        import igl
+
+        if self.surface is not None:
+            return self.surface.tree
+        tree = igl.AABB()
+        tree.init(self.vertices, self.faces)
+        return tree
 
     def height(self, xy: ArrayLike) -> Array:
         """Height (n,) m of the ground at ``xy`` (n, 2) m; beyond the borders, that of the closest border point.

@@ -131,7 +131,7 @@ class TerrainSurface:
         if not len(points):
             return np.zeros(0, np.int64)
         up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-        hits = self._tree.intersect_ray(self.points, self.faces, np.ascontiguousarray(points), up)
+        hits = self.tree.intersect_ray(self.points, self.faces, np.ascontiguousarray(points), up)
         line = np.repeat(np.arange(len(points)), [len(each) for each in hits])
         met = np.array([hit[0] for each in hits for hit in each], np.int64)
         leaving = np.sign(self.normals[met, 2])
@@ -188,7 +188,8 @@ class TerrainSurface:
         return found
 
     @cached_property
-    def _tree(self) -> Any:
+    def tree(self) -> Any:
+        """The triangles as libigl searches them."""
         import igl
 
         tree = igl.AABB()
