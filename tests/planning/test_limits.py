@@ -89,6 +89,20 @@ def test_flights_keep_their_limits_at_every_instant(limits, segments):
         assert found[name] >= 0.9 * bound  # the limit is active
 
 
+def test_a_ceiling_below_zero_holds():
+    """Heights have no natural zero: a terrain may lie below it."""
+    helicopter = vehsim.load_vehicle("helicopter")
+    marks = [rest(1, (0, 0, -35), heading=0), rest(200, (120, 40, -35))]
+    options = {"segments": 16, "cost": {"effort": 1.0}, "character": "stunt"}
+    free = vehsim.plan(helicopter, None, marks, **options)
+    assert measured(free.clip)["ceiling"] > -34.5
+    plan = vehsim.plan(helicopter, None, marks, **options, limits={"ceiling": -34.9})
+    assert plan.success, plan.message
+    assert -34.95 < measured(plan.clip)["ceiling"] < -34.889
+    with pytest.raises(InputError, match="give a height in m"):
+        vehsim.plan(helicopter, None, marks, limits={"ceiling": -np.inf})
+
+
 @pytest.mark.parametrize("segments", [11, 32])
 @pytest.mark.parametrize(
     ("name", "limits"),

@@ -278,12 +278,23 @@ def test_messages_use_the_users_terms_once_per_fault(key: str) -> None:
             assert len(texts) <= 1 or isinstance(value, dict | list), (place, value, texts)
 
 
+def test_a_joint_outside_its_range_is_named_with_its_value() -> None:
+    marks = [{"frame": 1001, "position": [0, 0, 0]}, {"frame": 1100, "position": [4, 0, 0], "joints": {"phi": 1.5}}]
+    motion = {"method": "plan", "mark": marks}
+    data = {"shot": {"schema": 1, "name": "a"}, "vehicle": [{"name": "s", "asset": "snakeboard", "motion": motion}]}
+    (problem,) = Shot.from_dict(data).check()
+    assert str(problem) == (
+        "vehicle[0].motion.mark[1].joints.phi = 1.5: outside -0.7 to 0.7; keep it inside, or leave it free"
+    )
+
+
 @pytest.mark.parametrize(
     "limits, says",
     [
         ({"speed": -3}, "limits.speed = -3: it should be greater than 0; give a number above zero"),
         ({"speed": "fast"}, "limits.speed = 'fast': not a number; give a number above zero"),
         ({"speed": {"a": 1}}, "limits.speed = {'a': 1}: not a number; give a number above zero"),
+        ({"ceiling": "high"}, "limits.ceiling = 'high': not a number; give the greatest height"),
         ({"joints": 3}, "limits.joints = 3: not a table; give a table of joints"),
         ({"joints": {"psi": 0}}, "limits.joints.psi = 0: it should be greater than 0; give a number above zero, for"),
         ({"joints": {"psi": [0]}}, "limits.joints.psi = [0]: 1 given, at least 2 wanted"),

@@ -6,6 +6,7 @@ for a user's `Cost` and `Constraint`. A law is evaluated once in CasADi symbols 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -313,6 +314,15 @@ class Limit:
     def angular(self) -> bool:
         return self.unit.startswith("rad")
 
+    @property
+    def height(self) -> bool:
+        """Whether it bounds a height, which has no natural zero: its bound may be any number."""
+        return self.unit == "m"
+
+    def scale(self, bound: float) -> float:
+        """What the law is divided by, in its unit."""
+        return max(abs(bound), 1.0) if self.height and bound <= 0 else bound
+
 
 STEERING = "sigma"
 """The joint of all steered vehicles; its value is the tangent of the steering angle."""
@@ -394,11 +404,12 @@ class Limits:
         made: list[Constraint] = []
         for name, value in self.values.items():
             limit = LIMITS[name]
+            scale = limit.scale(value)
             made.append(
                 Constraint(
-                    f"limit {name}", _scaled(limit.law, value), upper=1.0, identity=("limit", name, value),
-                    slack=SLACK if limit.slack is None else limit.slack / value,
-                    shown=_in_unit(value, limit.unit),
+                    f"limit {name}", _scaled(limit.law, scale), upper=value / scale, identity=("limit", name, value),
+                    slack=SLACK if limit.slack is None else limit.slack / scale,
+                    shown=_in_unit(scale, limit.unit),
                 )
             )  # fmt: skip
         for name, (low, high) in self.joint_rates.items():
@@ -452,8 +463,10 @@ def check_limits(limits: Mapping[str, Any], joints: Sequence[str] = ()) -> Limit
             raise InputError(
                 "nothing measures this limit in the finished motion", remedy, key=f"limits.{name}", value=value
             )
-        if not (isinstance(value, int | float) and value > 0):
-            raise InputError("not a bound", "give a positive number", key=f"limits.{name}", value=value)
+        height = LIMITS[name].height
+        if not (isinstance(value, int | float) and (math.isfinite(value) if height else value > 0)):
+            remedy = "give a height in m" if height else "give a positive number"
+            raise InputError("not a bound", remedy, key=f"limits.{name}", value=value)
         needed = LIMITS[name].joint
         if needed is not None and needed not in joints:
             raise InputError(

@@ -45,9 +45,12 @@ class Refusal:
     message: str
     remedy: str
     fixes: tuple[tuple[str, float], ...] = ()
+    value: float | None = None
+    """That of one joint; the mark has all others."""
 
     def __str__(self) -> str:
-        return f"{self.mark.name}.{self.key}: {self.message}; {self.remedy}"
+        given = "" if self.value is None else f" = {self.value:g}"
+        return f"{self.mark.name}.{self.key}{given}: {self.message}; {self.remedy}"
 
 
 def refusals(request: Request) -> list[Refusal]:
@@ -94,8 +97,9 @@ def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
     for name, value in zip(request.vehicle.joints, values, strict=False):
         for bounds in (request.vehicle.joint_limits.get(name), request.limits.joints.get(name)):
             if bounds is not None and not (bounds[0] - 1e-9 <= value <= bounds[1] + 1e-9 or math.isnan(value)):
-                message = f"{name} = {value:g}, outside {bounds[0]:g} to {bounds[1]:g}"
-                found.append(Refusal(mark, "joints", message, "keep it inside, or leave it free"))
+                message = f"outside {bounds[0]:g} to {bounds[1]:g}"
+                remedy = "keep it inside, or leave it free"
+                found.append(Refusal(mark, f"joints.{name}", message, remedy, value=float(value)))
     return found
 
 

@@ -50,6 +50,8 @@ def _name_limits(schema: dict[str, Any], model: type[Table]) -> None:
     describe(schema, model)
     number = schema["additionalProperties"]
     for name, limit in LIMITS.loadable():
+        if name in model.model_fields:
+            continue
         description = f"{number['description']}, in {in_degrees(limit.unit)[1]}: {limit.meaning}"
         schema["properties"][name] = {**number, "description": description}
     schema["additionalProperties"] = False
@@ -64,6 +66,8 @@ class LimitTable(Table):
     """a table of joints, each with a number or [low, high], in the vehicle's own units"""
     joint_rates: dict[str, Range] = Field(default={})
     """a table of joints, each with a number or [low, high], in the vehicle's own units per second"""
+    ceiling: Metre | None = None
+    """the greatest height of the vehicle's root, in m"""
 
     def given(self) -> dict[str, Any]:
         """The bounds in the file, sorted by name: their order is that of rows in the problem, and a set has none."""
@@ -151,6 +155,6 @@ def check_request(
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
     for refusal in refusals(request):
-        value = getattr(refusal.mark, refusal.key)
+        value = getattr(refusal.mark, refusal.key) if refusal.value is None else refusal.value
         key = f"{refusal.mark.name}.{refusal.key}"
         yield Problem(key, refusal.message, refusal.remedy, value, fixes=refusal.fixes)
