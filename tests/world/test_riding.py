@@ -1,6 +1,7 @@
 """Where a boat starts on the water: in balance on calm water at any speed, and on waves, moving with their surface."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,3 +83,20 @@ def test_a_boat_on_a_beach_stays_where_it_is_put(tmp_path):
     for place, z in (([20, 0, 5.6], 5.6), ([-25, 0, 2.9], 3.0)):
         clip = shot(world, position=place).solve().clips["boat"]
         assert clip.positions[0, 2] == pytest.approx(z, abs=0.01)
+
+
+def test_a_planned_boat_floats_at_the_level_of_the_water():
+    """It kept the z of its marks, and drove 1.7 m below the surface without a word."""
+    marks = [vehsim.Mark(frame, position=(x, 0, 0), velocity=(0, 0, 0)) for frame, x in ((0, 0), (240, 8))]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        high = vehsim.plan(BOAT, World(water=1.7), marks=marks, fps=24).clip
+    np.testing.assert_allclose(high.positions[:, 2], 1.7, atol=1e-3)
+    calm = vehsim.plan(BOAT, World(water=0.0), marks=marks, fps=24).clip
+    np.testing.assert_array_equal(high.positions[:, :2], calm.positions[:, :2])
+    with pytest.warns(UserWarning, match="5.00 m: boat floats on the water, at 1.70 m; give that height, or 0"):
+        vehsim.plan(BOAT, World(water=1.7), marks=[mark_at(5.0, mark) for mark in marks], fps=24)
+
+
+def mark_at(height, mark):
+    return replace(mark, position=(*mark.position[:2], height))

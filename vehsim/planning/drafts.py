@@ -25,7 +25,7 @@ from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import same_choices
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear, straightened
-from vehsim.planning.request.request import Request, all_marks, make_request
+from vehsim.planning.request.request import Request, afloat, all_marks, make_request
 from vehsim.planning.restraint import restrain, restrained
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import drawn
@@ -182,6 +182,7 @@ def guessed(vehicle: Vehicle, world: Any, marks: Sequence[Mark], fps: Any) -> Cl
 
     Raises ``InputError`` for marks that contradict each other.
     """
+    marks = afloat(marks, vehicle, world)
     heights = [float(mark.position[2]) for mark in marks if mark.position is not None]
     plain = [replace(mark, on_ground=False) for mark in marks]
     if vehicle.group.planar:  # the ground is that of the world

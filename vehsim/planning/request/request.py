@@ -178,6 +178,7 @@ def make_request(
         if name in LIMITS and LIMITS[name].on_tyres and vehicle.group.dim != 3:
             remedy = "limit g_load or acceleration"
             raise InputError(f"{vehicle.name} does not stand on tyres", remedy, key=f"limits.{name}")
+    marks = afloat(marks, vehicle, world)
     vehicle = vehicle.planar or vehicle
     world = at_level(world, vehicle, marks)
     if not (math.isfinite(clearance) and clearance >= 0):
@@ -267,6 +268,23 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     if np.any(world.wind) or leans(vehicle) > UPRIGHT:  # it stands level, which is not in balance
         mark = replace(mark, orientation=tuple(q.tolist()), heading=None)
     return replace(mark, position=tuple(place.tolist()))
+
+
+def afloat(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> Sequence[Mark]:
+    """The marks of a boat, at the height where it floats on calm water. Warn of a height far from it: 0 is none there.
+    Raises ``InputError`` if it sinks."""
+    if vehicle.planar is None or getattr(vehicle, "hull", None) is None or getattr(world, "water", None) is None:
+        return marks
+    from vehsim.world.water.buoyancy import Afloat
+
+    floating = world.water.level + Afloat(vehicle, world).floating()[0] - float(vehicle.origin[2])
+    height = round(floating, 3) + 0.0
+    for mark in marks:
+        z = 0.0 if mark.position is None else float(mark.position[2])
+        if z and abs(z - height) > NEAR:
+            message = f"{z:.2f} m: {vehicle.name} floats on the water, at {height:.2f} m"
+            warnings.warn(Caution(Problem(f"{mark.name}.position", message, "give that height, or 0")), stacklevel=4)
+    return [mark if mark.position is None else replace(mark, position=(*mark.position[:2], height)) for mark in marks]
 
 
 def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
