@@ -165,7 +165,7 @@ def test_warnings_are_repeated_from_the_cache(tmp_path, reads):
 def test_a_damaged_entry_is_made_again(tmp_path, cache, reads):
     asset = write(tmp_path / "rig.usda", 1.0)
     before = reach(asset)
-    (entry,) = cache.glob("solids-*")
+    (entry,) = cache.glob("parts-*")
     entry.write_bytes(entry.read_bytes()[:-9])
     with pytest.warns(UserWarning, match="damaged"):
         assert reach(asset) == before

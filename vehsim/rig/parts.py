@@ -106,7 +106,7 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     """
     content = _content(asset)
     key = str(asset), content, root
-    kept = lookup("solids", key)
+    kept = lookup("parts", key)
     found, messages = _unpacked(kept, {str(Path(asset).resolve()): content}) if kept is not None else (None, [])
     if found is None:
         from pxr import Sdf
@@ -129,7 +129,7 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
         ]
         files = _files(asset, held)
         if files and files.items() <= before.items():  # nothing was written while it was read
-            store("solids", key, _packed(found, messages, files))
+            store("parts", key, _packed(found, messages, files))
     for message in messages:
         warnings.warn(message, stacklevel=2)
     return found
@@ -222,19 +222,23 @@ def _files(asset: str | Path, held: AbstractSet[str]) -> dict[str, str]:
 
 
 def _packed(found: Sequence[Solid], messages: Sequence[str], files: Mapping[str, str]) -> bytes:
-    header = json.dumps([files, messages, [[solid.name, solid.path, len(solid.hulls)] for solid in found]])
+    names = [[solid.name, solid.path, [len(hull) for hull in solid.hulls]] for solid in found]
+    header = json.dumps([files, messages, names])
     frames, hulls = np.array([solid.T_rp for solid in found]), [hull for solid in found for hull in solid.hulls]
-    return packed([np.frombuffer(header.encode(), np.uint8), frames, *hulls])
+    return packed([np.frombuffer(header.encode(), np.uint8), frames, np.vstack([np.zeros((0, 3)), *hulls])])
 
 
 def _unpacked(content: bytes, known: Mapping[str, str]) -> tuple[list[Solid] | None, list[str]]:
     """The result of `_packed`, and its warnings; None if a file has changed since. ``known``: checksums of files."""
-    header, frames, *hulls = unpacked(content)
+    header, frames, points = unpacked(content)
     files, messages, names = json.loads(header.tobytes())
     if any((known.get(file) or _content(file)) != checksum for file, checksum in files.items()):
         return None, []
-    each, rows = iter(hulls), zip(names, frames, strict=True)
-    return [Solid(name, path, frame, tuple(islice(each, count))) for (name, path, count), frame in rows], messages
+    hulls = iter(np.split(points, np.cumsum([count for _, _, counts in names for count in counts])))
+    rows = zip(names, frames, strict=True)
+    return [
+        Solid(name, path, frame, tuple(islice(hulls, len(counts)))) for (name, path, counts), frame in rows
+    ], messages
 
 
 # ---------------------------------------------------------------- the stage
