@@ -5,12 +5,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 import vehsim
 from vehsim import Take, World
-from vehsim.exporters.usd.scenery import finishes
+from vehsim.exporters.usd.scenery import finishes, obstacle_meshes
 from vehsim.exporters.usd.scenery.lighting import MOODS, to_linear, write_sky
+from vehsim.exporters.usd.scenery.obstacle_meshes import shading_normals
 from vehsim.exporters.usd.scenery.shading import light_for
 from vehsim.exporters.usd.stage import Sky, Sun
 from vehsim.shot.schema.tables import RenderTable
@@ -109,3 +111,28 @@ def test_a_colour_makes_pictures_again_but_solves_nothing(tmp_path, monkeypatch)
     assert second.recalled and second.content_hash != first.content_hash
     shot["world"]["obstacle"][0]["size"] = [1, 1, 2]
     assert not vehsim.Shot.from_dict(shot).solve().recalled
+
+
+def off_by(normals, wanted):
+    """The largest angle between normals, degrees."""
+    wanted = wanted / np.linalg.norm(wanted, axis=-1, keepdims=True)
+    return float(np.degrees(np.arccos(np.clip((normals * wanted).sum(axis=-1), -1, 1))).max())
+
+
+def test_round_obstacles_are_shaded_round_and_edges_stay_sharp():
+    """The normals of a ball, of a cylinder's side and caps, and of a box are theirs."""
+    ball, box = trimesh.creation.icosphere(3, 2.0), trimesh.creation.box((1, 2, 3))
+    assert off_by(shading_normals(ball.vertices, ball.faces), ball.vertices[ball.faces]) < 0.5
+    cylinder = trimesh.creation.cylinder(1.0, 2.0, sections=32)
+    wanted, side = np.repeat(cylinder.face_normals[:, None], 3, axis=1), np.abs(cylinder.face_normals[:, 2]) < 0.5
+    wanted[side] = cylinder.vertices[cylinder.faces[side]] * (1, 1, 0)
+    assert off_by(shading_normals(cylinder.vertices, cylinder.faces), wanted) < 1e-5
+    flat = np.repeat(box.face_normals[:, None], 3, axis=1)
+    assert off_by(shading_normals(box.vertices, box.faces), flat) < 1e-5
+
+
+def test_many_faces_at_one_point_are_shaded_flat(monkeypatch):
+    cone = trimesh.creation.cone(1.0, 2.0, sections=64)
+    assert off_by(shading_normals(cone.vertices, cone.faces), np.repeat(cone.face_normals[:, None], 3, axis=1)) > 2
+    monkeypatch.setattr(obstacle_meshes, "MOST", 1000)
+    assert off_by(shading_normals(cone.vertices, cone.faces), np.repeat(cone.face_normals[:, None], 3, axis=1)) < 1e-5

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vehsim.delivery.take import Take
 from vehsim.exporters.usd.metadata import author_points
@@ -20,6 +21,14 @@ from vehsim.exporters.usd.scenery.lighting import encode_srgb, to_linear
 
 if TYPE_CHECKING:
     from vehsim.world.obstacles.obstacles import Obstacle
+
+Array = NDArray[np.float64]
+
+
+CREASE = np.radians(30.0)
+"""Angle between faces up to which their common edge is shaded smooth, rad."""
+MOST = 4_000_000
+"""Most pairs of faces at a common point; with more, all edges are sharp."""
 
 
 def author_obstacles(stage: Any, scope: str, take: Take, pack: Pack) -> None:
@@ -76,7 +85,32 @@ def _author_mesh(mesh: Any, obstacle: Obstacle) -> None:
     author_points(mesh, points)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.uniform)
+    shaded = shading_normals(points, faces).reshape(-1, 3)
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(shaded.astype(np.float32)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     st.Set(Vt.Vec2fArray.FromNumpy(coordinates(corners, normals, obstacle.finish).reshape(-1, 2).astype(np.float32)))
+
+
+def shading_normals(points: Array, faces: NDArray[np.int64]) -> Array:
+    """Unit normals (m, 3, 3) at the corners of triangles (m, 3): the mean over the faces around each point that are
+    within `CREASE` of the corner's own, weighted by their angles there."""
+    corners = points[faces]
+    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    across = np.cross(ahead, back)
+    normals = across[:, 0] / np.maximum(np.linalg.norm(across[:, 0], axis=1, keepdims=True), 1e-12)
+    angles = np.arctan2(np.linalg.norm(across, axis=2), (ahead * back).sum(axis=2)).ravel()
+    order = np.argsort(faces, axis=None, kind="stable")  # corners, by point
+    count = np.bincount(faces.ravel(), minlength=len(points))
+    of_corner = count[faces.ravel()[order]]
+    if of_corner.sum() > MOST:
+        return np.repeat(normals[:, None], 3, axis=1)
+    first = np.repeat(np.cumsum(count) - count, count)  # of the point's corners, in that order
+    mine = np.repeat(order, of_corner)
+    step = np.arange(len(mine)) - np.repeat(np.cumsum(of_corner) - of_corner, of_corner)
+    other = order[np.repeat(first, of_corner) + step]
+    close = (normals[mine // 3] * normals[other // 3]).sum(axis=1) >= np.cos(CREASE)
+    means = np.zeros((faces.size, 3))
+    np.add.at(means, mine[close], angles[other[close], None] * normals[other[close] // 3])
+    means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-12)
+    return means.reshape(-1, 3, 3)
