@@ -16,7 +16,7 @@ import numpy as np
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.constraints.clearance import SphereCover, cover_for, dragged_cover, moved_cover
-from vehsim.planning.guesses.routes import as_clip, find_paths, straight
+from vehsim.planning.guesses.routes import initial_guess, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.planner import at_marks
 from vehsim.planning.problem import interrupts
@@ -163,16 +163,16 @@ def _first(request: Request, clip: Clip | None) -> Draft:
     """The first draft of a request."""
     run = Run(request, end="draft")
     with interrupts.remembered():
-        paths = find_paths(request, clip, run.deadline.watched(None))
-        cover = cover_for(request, paths, run.deadline.watched(None))
-        guess = as_clip(request, clip)
-        marks = _facing_as(guess, request) if guess is not None and request.weights["course"] else request.marks
+        guess = initial_guess(request, clip, run.deadline.watched(None))
+        cover = cover_for(request, guess.paths, run.deadline.watched(None))
+        like = guess.clip
+        marks = _facing_as(like, request) if like is not None and request.weights["course"] else request.marks
         posed = straightened(request.vehicle, request.world, marks)
         if posed != list(request.marks):
             request = replace(request, given=request.marks, marks=posed)
-        first = begin(run, request, transcribe(request.weighed), cover, paths, guess, coarse=False)
+        first = begin(run, request, transcribe(request.weighed), cover, guess.paths, like, coarse=False)
         iterate = first
-        if guess is not None:  # a solved motion, in its character already: stay near it
+        if like is not None:  # a solved motion, in its character already: stay near it
             iterate = solve(run, replace(restrained(first), prolongated=True))
         return Draft(iterate if iterate.success else restrain(run, solve(run, first)), run)
 

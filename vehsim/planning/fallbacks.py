@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.clip.clip import Clip
 from vehsim.planning.constraints.clearance import Clearance
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.explain.elastic import diagnose, too_early
 from vehsim.planning.guesses.drive import drive
 from vehsim.planning.guesses.pace import fewest_segments
-from vehsim.planning.guesses.routes import around, as_clip, backwards, shunting
+from vehsim.planning.guesses.routes import InitialGuess, around, backwards, shunting
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import bent, divided, legs_between, path_length, placed_marks
@@ -41,7 +39,7 @@ def enough_segments(request: Request) -> int:
     return min(max(few, fewest_segments(request.vehicle, length)), MOST_SEGMENTS)
 
 
-def in_narrow_places(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
+def in_narrow_places(run: Run, failed: Iterate, guess: InitialGuess) -> Iterate:
     """The iterate solved with the surface of the vehicle instead of the spheres around it, or the failed one.
 
     The distances of both are measured along the guess, then along each solution, since they hold near the poses at
@@ -49,7 +47,7 @@ def in_narrow_places(run: Run, failed: Iterate, paths: Sequence[Array], clip: Cl
     """
     if failed.cover is None or failed.cover.static is None or landings(failed.request.marks):
         return failed
-    iterate: Iterate = begin(run, failed.request, failed.transcription, failed.cover, paths, clip)
+    iterate: Iterate = begin(run, failed.request, failed.transcription, failed.cover, guess.paths, guess.clip)
     for _ in range(MEASURED):
         if run.deadline.late:
             break
@@ -60,9 +58,7 @@ def in_narrow_places(run: Run, failed: Iterate, paths: Sequence[Array], clip: Cl
     return failed
 
 
-def with_fewer_requirements(
-    run: Run, iterate: Iterate, request: Request, paths: Sequence[Array], guess: Any
-) -> tuple[Run, Iterate]:
+def with_fewer_requirements(run: Run, iterate: Iterate, request: Request, guess: InitialGuess) -> tuple[Run, Iterate]:
     """The iterate solved without the usual poses at marks at rest, and with more segments if there are few.
 
     Returns the last iterate that was tried; it may have failed.
@@ -77,7 +73,7 @@ def with_fewer_requirements(
         unposed = _unposed(iterate.request)
         changed = replace(request, segments=segments)
         run = Run(changed, run.progress)
-        again = begin(run, changed, iterate.transcription, iterate.cover, paths, as_clip(request, guess))
+        again = begin(run, changed, iterate.transcription, iterate.cover, guess.paths, guess.clip)
         iterate = solve(run, again)
         if iterate.success:
             iterate = replace(iterate, remark=unposed + remark)
@@ -94,9 +90,7 @@ def _unposed(request: Request) -> str:
     return f"; {what}: no such motion was found"
 
 
-def from_other_guesses(
-    run: Run, failed: Iterate, paths: Sequence[Array], guess: Any, untried: Iterate | None = None
-) -> Iterate:
+def from_other_guesses(run: Run, failed: Iterate, guess: InitialGuess, untried: Iterate | None = None) -> Iterate:
     """The iterate solved from other initial guesses, or the failed one with the reason.
 
     A flight through a narrow place tries the way around it. A vehicle that drives nose first tries to reverse, then to
@@ -106,19 +100,19 @@ def from_other_guesses(
     ``untried``: the first guess in its character, if only its stunt was tried: it comes after the other guesses.
     """
     iterate = failed
-    for other in (around, backwards, shunting) if guess is None else ():
+    for other in (around, backwards, shunting) if not guess.given else ():
         if iterate.success or run.deadline.late:
             return iterate
-        if driven := other(iterate.request, paths):
-            iterate = solve(run, _again(run, failed, driven))
+        if driven := other(iterate.request, guess.paths):
+            iterate = solve(run, _again(run, failed, InitialGuess(driven)))
     if iterate.success:
         return iterate
     if not failed.blocked and not run.deadline.late:
-        iterate = _diagnosed(run, failed, paths, guess)
+        iterate = _diagnosed(run, failed, guess)
     for wariness, (stretch, bend) in enumerate(RETRIES, 1):
         if iterate.success or iterate.why or run.deadline.late:
             return iterate
-        others = _other_paths(iterate, paths, guess, wariness, bend)
+        others = InitialGuess(_other_paths(iterate, guess, wariness, bend))
         iterate = solve(run, _again(run, iterate, others, stretch=stretch))
     if iterate.success or iterate.why or run.deadline.late:
         return iterate
@@ -126,35 +120,33 @@ def from_other_guesses(
     if last.success:
         return last
     if failed.blocked:
-        last = _diagnosed(run, iterate, paths, guess)
+        last = _diagnosed(run, iterate, guess)
         if last.success:
             return last
-    first = _again(run, last, paths, as_clip(iterate.request, guess))
+    first = _again(run, last, guess)
     return replace(iterate, why=last.why or too_early(run, first))
 
 
-def _diagnosed(run: Run, failed: Iterate, paths: Sequence[Array], guess: Any) -> Iterate:
+def _diagnosed(run: Run, failed: Iterate, guess: InitialGuess) -> Iterate:
     """The iterate solved from a motion that meets all marks if a relaxed problem finds one, else failed, with the
     reason."""
-    first = _again(run, failed, paths, as_clip(failed.request, guess))
+    first = _again(run, failed, guess)
     why, near = diagnose(run, first)
     return replace(failed, why=why) if near is None else solve(run, replace(first, x=near))
 
 
-def _again(
-    run: Run, iterate: Iterate, paths: Sequence[Array], clip: Clip | None = None, stretch: float = 1.0
-) -> Iterate:
+def _again(run: Run, iterate: Iterate, guess: InitialGuess, stretch: float = 1.0) -> Iterate:
     """Another initial guess for the same request; active sets are kept."""
     request, transcription, blocks = iterate.request, iterate.transcription, iterate.blocks
-    return begin(run, request, transcription, iterate.cover, paths, clip, stretch=stretch, blocks=blocks)
+    return begin(run, request, transcription, iterate.cover, guess.paths, guess.clip, stretch=stretch, blocks=blocks)
 
 
-def _other_paths(iterate: Iterate, paths: Sequence[Array], guess: Any, wariness: int, bend: float) -> Sequence[Array]:
+def _other_paths(iterate: Iterate, guess: InitialGuess, wariness: int, bend: float) -> Sequence[Array]:
     """Paths bent sideways, or near obstacles paths with a wider berth; given paths are not changed there."""
     request, obstacles = iterate.request, iterate.block(ObstacleClearance)
     if obstacles is None:
-        return [bent(path, bend) for path in paths]
-    if guess is not None:
-        return paths
+        return [bent(path, bend) for path in guess.paths]
+    if guess.given:
+        return guess.paths
     kept = [request.marks[i] for i in placed_marks(request.marks)]
     return divided(drive(replace(request, marks=kept), obstacles.parts, wariness), request.marks)

@@ -32,7 +32,7 @@ from vehsim.planning.fallbacks import (
     in_narrow_places,
     with_fewer_requirements,
 )
-from vehsim.planning.guesses.routes import as_clip, find_paths, reversing, roundabout, straight
+from vehsim.planning.guesses.routes import InitialGuess, as_clip, initial_guess, reversing, roundabout, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET, Patience
@@ -433,21 +433,21 @@ def _unexplained(plan: Plan) -> bool:
     return _unsolved(plan) and not plan._iterate.why
 
 
-def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool = False, early: bool = False) -> Plan:
-    """The plan of one request; ``once``: on failure, do not try other guesses and do not diagnose.
+def _attempt(request: Request, progress: Progress | None, given: Any, once: bool = False, early: bool = False) -> Plan:
+    """The plan of one request from the user's guess or paths through free space; ``once``: on failure, do not try other
+    guesses and do not diagnose.
 
     ``early``: as in `_in_one_character`.
     """
     transcription, run = transcribe(request.weighed), Run(request, progress)
     watched = run.deadline.watched(progress)
     try:
-        paths = find_paths(request, guess, watched)
-        cover = cover_for(request, paths, watched)
-        late = ""
+        guess = initial_guess(request, given, watched)
+        cover, late = cover_for(request, guess.paths, watched), ""
     except OutOfTime as error:
-        paths, cover, late = straight(request), None, f" ({error})"
-    posed, easy = _posed(request, paths), not once and _is_easy(request, cover)
-    iterate = begin(run, posed, transcription, cover, paths, as_clip(request, guess), coarse=not easy)
+        guess, cover, late = InitialGuess(straight(request), as_clip(request, given)), None, f" ({error})"
+    posed, easy = _posed(request, guess.paths), not once and _is_easy(request, cover)
+    iterate = begin(run, posed, transcription, cover, guess.paths, guess.clip, coarse=not easy)
     hopeless = run.deadline.hopeless
     if easy:
         iterate = _at_once(run, iterate)
@@ -456,40 +456,60 @@ def _attempt(request: Request, progress: Progress | None, guess: Any, once: bool
     if refused or hopeless:
         reason: Reason = "refused" if refused else "time limit"
         return _result(run, give_up(iterate, refused or LATE.format(late)), reason)
-    clearance = iterate.block(Clearance)
-    if clearance is not None and clearance.squeezes(iterate):
-        iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
     if easy and not iterate.success:  # few segments of order 2 are a shorter way, and often to a better motion
-        iterate = begin(run, posed, transcription, cover, paths, as_clip(request, guess))
-    patient = math.isinf(request.deadline) and request.max_iterations > QUICK.most
-    stunt = untried = None
-    if early and patient and not iterate.success and request.traits.harder is not None:
-        iterate, stunt = _quickly(run, iterate, paths, as_clip(request, guess))
-    if stunt is not None and iterate.blocked and not stunt.success:
-        untried = iterate  # other guesses are better than this one
-    elif not iterate.success:
-        iterate = solve(run, iterate)
-    relaxed = request
-    if not (iterate.success or once or run.deadline.late):
-        if request.traits.name != STUNT:  # first find any motion, then apply the character
-            iterate = stunt or without_character(run, iterate, paths, as_clip(request, guess))
-            relaxed = replace(request, traits=NO_TRAITS)
-        if not iterate.success:
-            iterate = in_narrow_places(run, iterate, paths, as_clip(request, guess))
-    if not (iterate.success or once):
-        run, iterate = with_fewer_requirements(run, iterate, relaxed, paths, guess)
-    if not (iterate.success or once):
-        iterate = from_other_guesses(run, iterate, paths, guess, untried)
+        iterate = begin(run, posed, transcription, cover, guess.paths, guess.clip)
+    if not iterate.success:
+        run, iterate = _found(run, iterate, guess, request, once, early)
     iterate = _in_traits(run, iterate, request)
-    if _presses(iterate) and (strain := _strain(iterate, request)) > STRAINED and not run.deadline.late:
-        narrow = _in_traits(run, in_narrow_places(run, iterate, paths, as_clip(request, guess)), request)
-        if narrow.success and _strain(narrow, request) < WORTH * strain:
-            iterate = narrow
+    iterate = _by_its_surface(run, iterate, guess, request)
     if early and _is_too_hard(run, iterate):
         raise _TooHard(iterate)
     iterate = to_requested_segments(run, iterate)
     iterate = refine_and_certify(run, iterate)
     return _result(run, iterate)
+
+
+def _found(
+    run: Run, begun: Iterate, guess: InitialGuess, request: Request, once: bool, early: bool
+) -> tuple[Run, Iterate]:
+    """A motion from the initial guess; where it fails, with less asked of it, then from other guesses.
+
+    Returns the last iterate that was tried; it may have failed. Raises `_TooHard` if ``early``.
+    """
+    iterate, stunt, untried = begun, None, None
+    clearance = iterate.block(Clearance)
+    if clearance is not None and clearance.squeezes(iterate):
+        iterate = in_narrow_places(run, iterate, guess)
+    patient = math.isinf(request.deadline) and request.max_iterations > QUICK.most
+    if early and patient and not iterate.success and request.traits.harder is not None:
+        iterate, stunt = _quickly(run, iterate, guess)
+    if stunt is not None and iterate.blocked and not stunt.success:
+        untried = iterate  # other guesses are better than this one
+    elif not iterate.success:
+        iterate = solve(run, iterate)
+    if iterate.success or once:
+        return run, iterate
+    relaxed = request
+    if not run.deadline.late:
+        if request.traits.name != STUNT:  # first find any motion, then apply the character
+            iterate = stunt or without_character(run, iterate, guess)
+            relaxed = replace(request, traits=NO_TRAITS)
+        if not iterate.success:
+            iterate = in_narrow_places(run, iterate, guess)
+    if not iterate.success:
+        run, iterate = with_fewer_requirements(run, iterate, relaxed, guess)
+    if not iterate.success:
+        iterate = from_other_guesses(run, iterate, guess, untried)
+    return run, iterate
+
+
+def _by_its_surface(run: Run, iterate: Iterate, guess: InitialGuess, request: Request) -> Iterate:
+    """A motion beyond its character on which the spheres around the vehicle press, solved with the vehicle's surface;
+    unchanged if that makes it little softer."""
+    if not _presses(iterate) or (strain := _strain(iterate, request)) <= STRAINED or run.deadline.late:
+        return iterate
+    narrow = _in_traits(run, in_narrow_places(run, iterate, guess), request)
+    return narrow if narrow.success and _strain(narrow, request) < WORTH * strain else iterate
 
 
 def _is_easy(request: Request, cover: SphereCover | None) -> bool:
@@ -507,7 +527,7 @@ def _at_once(run: Run, begun: Iterate) -> Iterate:
     return solved if solved.success else begun
 
 
-def _quickly(run: Run, begun: Iterate, paths: Sequence[Array], clip: Clip | None) -> tuple[Iterate, Iterate | None]:
+def _quickly(run: Run, begun: Iterate, guess: InitialGuess) -> tuple[Iterate, Iterate | None]:
     """The iterate solved if that takes few iterations, else as it was, with its stunt, which may have failed.
 
     Raises `_TooHard` if it is too hard even near the motion of the stunt, which is found at once where marks leave too
@@ -516,7 +536,7 @@ def _quickly(run: Run, begun: Iterate, paths: Sequence[Array], clip: Clip | None
     quick = solve(run, begun, QUICK)
     if quick.success:
         return quick, None
-    stunt = without_character(run, begun, paths, clip)
+    stunt = without_character(run, begun, guess)
     near = nearby(run, stunt, begun.request.traits) if stunt.success else stunt
     if _is_too_hard(run, near) and not _strain(quick, begun.request) < _strain(near, begun.request):
         raise _TooHard(near)

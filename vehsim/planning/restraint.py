@@ -6,26 +6,20 @@ a motion is found without a character; the character is applied to it afterwards
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from vehsim.clip.clip import Clip
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.costs import RunningCosts
+from vehsim.planning.guesses.routes import InitialGuess
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.solve import begin, solve
 
-Array = NDArray[np.float64]
 
-
-def without_character(run: Run, failed: Iterate, paths: Sequence[Array], clip: Clip | None) -> Iterate:
+def without_character(run: Run, failed: Iterate, guess: InitialGuess) -> Iterate:
     """The iterate solved from the same guess without a character, or the failed one."""
     request = replace(failed.request, traits=NO_TRAITS)
-    return solve(run, begin(run, request, failed.transcription, failed.cover, paths, clip))
+    return solve(run, begin(run, request, failed.transcription, failed.cover, guess.paths, guess.clip))
 
 
 def in_character(run: Run, iterate: Iterate, traits: Traits) -> Iterate:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -31,6 +31,21 @@ DETOUR = 1.5
 """Largest length of a preferred wide route, relative to a narrow route."""
 RUN_UP = 0.5
 """Length of the straight way to a mark that is passed in a direction, relative to the turning radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class InitialGuess:
+    """Where a search begins: ``paths``, one per leg, as of `find_paths`, and a ``clip`` along them, to use its joints
+    and controls too. ``given``: whether the user gave them."""
+
+    paths: Sequence[Array]
+    clip: Clip | None = None
+    given: bool = False
+
+
+def initial_guess(request: Request, given: Any, progress: Progress) -> InitialGuess:
+    """The guess that the user gave, a `Clip` or a path (k, 3), or else paths through free space."""
+    return InitialGuess(find_paths(request, given, progress), as_clip(request, given), given is not None)
 
 
 def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
