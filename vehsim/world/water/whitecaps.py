@@ -92,14 +92,15 @@ class Breaking:
         object.__setattr__(self, "least", self._calibrated())
 
     def unevenness(self, xy: Array) -> Array:
-        """What is added (n,) to the folding at rest positions ``xy`` (n, 2) m, so that crests break in patches."""
+        """What is added (n,) to the folding at rest positions ``xy`` (n, 2) m, so that crests break in patches: behind
+        moles as much less as of the waves."""
         random = np.random.default_rng(5)
         lengths, angles = np.geomspace(*LENGTHS, 16), random.uniform(0, 2 * np.pi, 16)
         across = np.array([-self.downwind[1], self.downwind[0]])
         local = np.stack([xy @ self.downwind / STREAK, xy @ across])
         number = 2 * np.pi / lengths * np.stack([np.cos(angles), np.sin(angles)])
         noise = np.cos(local.T @ number + random.uniform(0, 2 * np.pi, 16)).sum(axis=1)
-        return np.asarray(UNEVEN * self.spread * noise / np.sqrt(8))
+        return np.asarray(UNEVEN * self.spread * self.waves.share(xy)[:, 0] * noise / np.sqrt(8))
 
     def _calibrated(self) -> float:
         """The `least` folding with which foam has the `cover` of the wind, on average over a large sea."""
