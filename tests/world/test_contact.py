@@ -292,6 +292,15 @@ def test_one_of_two_stacked_blocks_cannot_be_pushed_away(block):
     )
 
 
+def test_what_stands_on_a_slow_platform_goes_with_it(block):
+    """At a fifth of a millimetre per second it rested most of the time, and went a tenth of the way."""
+    start = State(position=(0, 0, -0.2), twist=(0, 0, 0, 2e-4, 0, 0))
+    platform = vehsim.simulate(block(gravity=0.0), None, None, start, duration=5.0, step=1 / 24)
+    world = World(obstacles=[moving("platform", platform)], contact=Contact(0.5, 0.3, 5.0))
+    clip = vehsim.simulate(block(), world, None, State(position=(0, 0, 0.2)), duration=2.0, step=1 / 24)
+    assert clip.positions[-1, 0] == pytest.approx(4e-4, rel=0.02)
+
+
 @pytest.mark.parametrize("restitution", [0.02, 0.1, 0.3])
 def test_a_helicopter_stands_still_on_its_skids(restitution):
     """Its skids are far below its centre of mass, about which it rolls easily: dampers for its whole mass were too

@@ -67,6 +67,8 @@ ROOM = 1.0
 """Assumed increase of speeds until then, m/s."""
 STILL = 2e-3
 """Speed below which bodies that do not slide are at rest, m/s."""
+PARKED = 1e-5
+"""Speed below which an obstacle stands still, m/s: what stands on a slower one would rest, in jerks."""
 COMING = 0.25
 """A moving obstacle that can touch a body within this time keeps it awake, s; longer than any step of a simulation."""
 AHEAD = 0.5
@@ -332,7 +334,7 @@ class ContactScene:
     def _see_rest(self, moving: Sequence[MovingBody | Led]) -> None:
         """Which vehicles are free, which lean on each other, and which of these groups contact holds still."""
         count = len(self.bodies)
-        vehicles, obstacles = moving[:count], [led for led in moving[count:] if led.speed >= STILL]
+        vehicles, obstacles = moving[:count], [led for led in moving[count:] if led.speed >= PARKED]
         islands, still = list(range(count)), [m.speed < STILL for m in vehicles]
         touching = [False] * count
         for pair in self._pushes:
