@@ -75,6 +75,7 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
     for light in bpy.data.lights:
         light.energy /= SUN if light.type == "SUN" else 1.0
     _show_display_colours(bpy.data.meshes)
+    _let_panes_through(bpy.data.materials)
     opened = read_stage(stage)
     _hide_empty_points(bpy.data.objects, opened)
     for prim in opened.Traverse():
@@ -87,6 +88,17 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
         scene.render.fps = -(-fps.numerator // fps.denominator)
         scene.render.fps_base = float(scene.render.fps / fps)
     return scene
+
+
+def _let_panes_through(materials: Iterable[Any]) -> None:
+    """Make what is translucent so by its alpha: Blender 5.3 imports opacity as transmission through a solid, in which
+    the single faces of windscreens are black."""
+    for material in materials:
+        for node in material.node_tree.nodes if material.use_nodes else ():
+            if node.type == "BSDF_PRINCIPLED" and not node.inputs["Transmission Weight"].is_linked:
+                through, alpha = node.inputs["Transmission Weight"], node.inputs["Alpha"]
+                if through.default_value > 0 and not alpha.is_linked:
+                    alpha.default_value, through.default_value = 1 - through.default_value, 0.0
 
 
 def _show_display_colours(meshes: Iterable[Any]) -> None:

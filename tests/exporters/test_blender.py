@@ -313,6 +313,35 @@ for mesh in bpy.data.meshes:
 
 
 @needs_blender
+def test_one_sees_through_panes(tmp_path):
+    """Blender 5.3 imports opacity as transmission through a solid: windscreens, which are single faces, were black."""
+    from pxr import Sdf, Usd, UsdGeom, UsdShade
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "pane.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/toy").GetPrim())
+    face = UsdGeom.Mesh.Define(stage, "/toy/pane")
+    face.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    face.CreateFaceVertexCountsAttr([3])
+    face.CreateFaceVertexIndicesAttr([0, 1, 2])
+    glass = UsdShade.Material.Define(stage, "/toy/glass")
+    shader = UsdShade.Shader.Define(stage, "/toy/glass/shader")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(0.45)
+    glass.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(face.GetPrim()).Bind(glass)
+    stage.Save()
+    opening = f"scene = blender.open_stage({str(tmp_path / 'pane.usda')!r})"
+    more = """about = {}
+for node in bpy.data.materials["glass"].node_tree.nodes:
+    if node.type == "BSDF_PRINCIPLED":
+        about = {key: node.inputs[key].default_value for key in ("Alpha", "Transmission Weight")}"""
+    seen = matrices(opening, [], [1.0], more)[1]
+    assert seen == pytest.approx({"Alpha": 0.45, "Transmission Weight": 0.0})
+
+
+@needs_blender
 def test_foam_has_threads_and_holes_in_blender(tmp_path):
     """The stage has it per point of the water's mesh: here four points with as much of it, seen from above."""
     from PIL import Image
