@@ -103,6 +103,21 @@ def test_every_planned_vehicle_eases_in_and_out_of_rest(name: str) -> None:
     assert np.abs((made.clip.controls[[0, -1]] - rest) / scale)[:, acts].max() < 0.01
 
 
+def test_a_motion_well_within_its_character_is_not_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its soft limits would change it by less than a millimetre."""
+    car = vehsim.load_vehicle("car")
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        Mark(400, position=(40, 12, 0), heading=30, velocity=(0, 0, 0)),
+    ]
+    calm = vehsim.plan(car, None, marks)
+    monkeypatch.setattr(planner, "CALM", 0.0)
+    again = vehsim.plan(car, None, marks)
+    assert calm.success and again.success
+    assert calm.iterations < again.iterations
+    np.testing.assert_allclose(calm.clip.positions, again.clip.positions, atol=1e-3)
+
+
 def test_the_default_is_normal() -> None:
     marks = [Mark(1, position=(0, 0, 0), heading=0, velocity=STILL), Mark(193, position=(30, 0, 0), velocity=STILL)]
     default, normal, stunt = (

@@ -45,7 +45,7 @@ from vehsim.planning.request.legs import facing, same_choices
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened
 from vehsim.planning.request.request import Request, all_marks, make_request
-from vehsim.planning.restraint import in_character, nearby, restrain, without_character
+from vehsim.planning.restraint import in_character, nearby, restrain, restrained, without_character
 from vehsim.planning.solve import COARSE, begin, give_up, solve
 from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
@@ -82,6 +82,8 @@ QUICK = Patience(60)
 """That of a solve in a character, after which it is compared with a stunt."""
 AT_ONCE = Patience(20, halfway=1e-2)
 """That of a solve at once on the requested segments, refined: easy problems need 5 to 16 iterations there."""
+CALM = 0.85
+"""Ratio of a motion to the limits of its character below which it is not solved again within them."""
 STRAINED, WORTH = 1.15, 0.9
 """Where the spheres around a vehicle press on a motion that exceeds a limit of its character by this ratio, its hulls
 are used instead, if they reduce the ratio by this factor or more."""
@@ -544,8 +546,15 @@ def _quickly(run: Run, begun: Iterate, guess: InitialGuess) -> tuple[Iterate, It
 
 
 def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:
-    """A solved iterate in the character of the request, with free marks on whole frames."""
-    return settle_on_frames(run, restrain(run, in_character(run, iterate, request.traits)))
+    """A solved iterate in the character of the request, with free marks on whole frames.
+
+    Soft limits cost next to nothing where a motion stays well within them: it is not solved again.
+    """
+    iterate = in_character(run, iterate, request.traits)
+    within = restrained(iterate)
+    if within is not iterate and not (iterate.success and _strain(iterate, iterate.request) < CALM):
+        within = restrain(run, iterate)
+    return settle_on_frames(run, within)
 
 
 def _presses(iterate: Iterate) -> bool:
