@@ -77,6 +77,20 @@ def test_a_boat_at_rest_keeps_its_rudder_angle():
     assert held.channels["propeller"][-1] - clip.channels["propeller"][-1] > 1.0
 
 
+def test_brakes_are_released_where_a_stunt_has_stopped():
+    """It brakes until its last frame: 3,300 N m stayed on while the car was parked."""
+    from vehsim.shot.follow_through import hold
+
+    marks = [vehsim.Mark(49, position=(0, 0, 0), velocity=(0, 0, 0), heading=0)]
+    marks += [vehsim.Mark(169, position=(30, 0, 0), velocity=(0, 0, 0))]
+    clip = vehsim.plan(vehsim.load_vehicle("car"), None, marks, character="stunt", segments=16).clip
+    held = hold(clip, 1, 241)
+    assert np.abs(clip.controls[[0, -1], 0]).min() > 1000
+    np.testing.assert_allclose(held.controls[(held.frames < 48.5) | (held.frames > 169.5)], 0.0, atol=1e-2)
+    inside = (held.frames > 48.9) & (held.frames < 169.1)
+    np.testing.assert_array_equal(held.controls[inside], clip.controls)
+
+
 def test_a_stopped_car_settles_on_its_springs_with_its_wheels_at_rest():
     """The last rates of wheels and springs must not continue: they once moved the car off its wheels."""
     from dataclasses import replace

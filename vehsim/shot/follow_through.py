@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 _STILL = 1e-2
 """A twist below this counts as standing still, rad/s and m/s."""
 
+_STEADY = 0.1
+"""Where a vehicle at rest accelerates by less than this, its controls are in balance, rad/s^2 and m/s^2."""
+
 SUDDEN = 1 / 1024
 """A motion that is cut off stops within this, in frames: over a whole frame, the interpolant would overshoot."""
 
@@ -27,12 +30,25 @@ def rests(clip: Clip, index: int) -> bool:
     return bool(np.abs(clip.twists[index]).max(initial=0.0) < _STILL)
 
 
+def _released(clip: Clip, index: int) -> Array | None:
+    """The controls (c,) in balance of a vehicle that stands still on wheels from that end of its clip on, if it still
+    accelerates there, as at the end of a stunt; otherwise None: those that it has there keep it in balance."""
+    from vehsim.planning.trim import trim
+
+    vehicle, inner = clip.vehicle, (1, -2)[index]
+    on_wheels = isinstance(vehicle, Nonholonomic) and vehicle.group.planar
+    if not (on_wheels and len(vehicle.controls) and len(clip) > 1 and rests(clip, index)):
+        return None
+    change = (clip.twists[index] - clip.twists[inner]) / (clip.times[index] - clip.times[inner])
+    return None if np.abs(change).max() < _STEADY else trim(vehicle, (0.0, 0.0, 0.0))
+
+
 def hold(clip: Clip, first: int, last: int) -> Clip:
     """The clip on frames ``first`` to ``last`` at least; it stands still in frames that it did not cover.
 
     Where the vehicle rests in the air or on water (a hovering helicopter), channels given by a rate continue at that
-    rate; otherwise they stop, as do channels that follow joints and controls. The height of a body on springs is
-    removed, so that `place_on_terrain` lets it settle.
+    rate; otherwise they stop, as do channels that follow joints and controls. Brakes and engines of
+    wheels are released. The height of a body on springs is removed, so that `place_on_terrain` lets it settle.
     """
     before = np.arange(first, clip.start_frame, dtype=float)
     after = np.arange(clip.end_frame + 1, last + 1, dtype=float)
@@ -50,13 +66,23 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
     def same(values: Array) -> Array:
         return np.concatenate([np.repeat(values[:1], len(before), 0), values, np.repeat(values[-1:], len(after), 0)])
 
+    ends = ((0, slice(0, len(before))), (-1, slice(len(times) - len(after), None)))
+    released = [(_released(clip, index), beyond) for index, beyond in ends]
+
+    def controlled(values: Array, which: int | slice = slice(None)) -> Array:
+        held = same(values)
+        for controls, beyond in released:
+            if controls is not None:
+                held[beyond] = controls[which]
+        return held
+
     def zero(values: Array) -> Array:
         width = values.shape[1:]
         return np.concatenate([np.zeros((len(before), *width)), values, np.zeros((len(after), *width))])
 
     def onwards(values: Array) -> Array:
         held = same(values)
-        for index, beyond in ((0, slice(0, len(before))), (-1, slice(len(times) - len(after), None))):
+        for index, beyond in ends:
             if len(clip) > 1 and not isinstance(clip.vehicle, Nonholonomic) and rests(clip, index):
                 a, b = (0, 1) if index == 0 else (-2, -1)
                 rate = (values[b] - values[a]) / (clip.times[b] - clip.times[a])
@@ -79,9 +105,11 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
         twists=zero(clip.twists),
         joints=same(clip.joints),
         joint_rates=zero(clip.joint_rates),
-        controls=same(clip.controls),
+        controls=controlled(clip.controls),
         channels=channels,
         energy={name: same(values) for name, values in clip.energy.items()},
-        commands={name: same(values) for name, values in clip.commands.items()},
+        commands={
+            name: controlled(values, clip.vehicle.control_names.index(name)) for name, values in clip.commands.items()
+        },
         start_frame=start,
     )
