@@ -87,8 +87,8 @@ def simulate(
     from vehsim.integrators.forced import pushed, substeps
     from vehsim.integrators.integrator import Integrator
     from vehsim.lie.maps import DEFAULT_MAP
+    from vehsim.world.ground.below import with_ground
     from vehsim.world.ground.placing import place_on_terrain
-    from vehsim.world.ground.slope import on_terrain
     from vehsim.world.world import World
 
     rate = _frame_rate(fps)
@@ -105,7 +105,7 @@ def simulate(
     actuators = actuators and vehicle.actuated
     near = None if everywhere else _reach(begin, steps * h)
     ground = world.on_level([begin.position], near) if isinstance(world, World) and near is not None else world
-    weighed = on_terrain(vehicle, ground, near)
+    weighed = with_ground(vehicle, ground, _places(begin, near))
     environment = world.environment(vehicle, start_time=start_frame / float(rate)) if isinstance(world, World) else None
     settings = {
         **_settings(vehicle, h, rate, start_frame),
@@ -118,7 +118,8 @@ def simulate(
     }
     if environment is not None:
         cuts = substeps(h, environment)
-        integrator = Integrator(vehicle, h / cuts, difference_map, order, wind=_wind(world))
+        flying = weighed if vehicle.group.dim == 6 else vehicle  # in the plane, contact and gusts know no slopes
+        integrator = Integrator(flying, h / cuts, difference_map, order, wind=_wind(world))
         law = controls if table is None else _played(table, steps * h)
         law = Actuated(vehicle, law) if actuators else law
         clip, memory = pushed(
@@ -133,7 +134,7 @@ def simulate(
             progress,
             None if after is None else _memory(after, steps, settings),
         )
-        clip = _commanded(clip, law)
+        clip = replace(_commanded(clip, law), vehicle=vehicle)
         _warn_limits(vehicle, clip)
         _warn_targets(controls, clip)
         return _ended(clip, memory, settings)
@@ -189,6 +190,7 @@ def simulate_together(
     from vehsim.integrators.forced import Recording, pushed_together, substeps
     from vehsim.integrators.integrator import Integrator
     from vehsim.world.contact.contact import Contact, ContactScene
+    from vehsim.world.ground.below import above_ground
 
     rate = _frame_rate(fps)
     finest = min((mover.vehicle.largest_step for mover in movers.values()), default=math.inf)
@@ -209,7 +211,15 @@ def simulate_together(
     meeting = ContactScene(touching, world, world.contact or Contact(), start_frame / float(rate))
     cuts = max(substeps(h, environment) for *_, environment in prepared)
     recordings = [
-        Recording(Integrator(vehicle, h / cuts, wind=_wind(world)), environment, law, begin, cuts)
+        Recording(
+            Integrator(
+                above_ground(vehicle, world, _places(begin, _reach(begin, steps * h))), h / cuts, wind=_wind(world)
+            ),
+            environment,
+            law,
+            begin,
+            cuts,
+        )
         for _, vehicle, law, begin, environment in prepared
     ]
     if after is not None and set(after) != set(movers):
@@ -233,7 +243,7 @@ def simulate_together(
     clips = {}
     for k, (recording, (name, vehicle, law, _, environment)) in enumerate(zip(recordings, prepared, strict=True)):
         events = sorted([*environment.events(), *meeting.events(k)], key=lambda event: event["time"])
-        clips[name] = _commanded(recording.clip(events, rate, start_frame), law)
+        clips[name] = replace(_commanded(recording.clip(events, rate, start_frame), law), vehicle=vehicle)
         _warn_limits(vehicle, clips[name])
         _warn_targets(movers[name].controls, clips[name])
         own = {**memory, "recordings": memory["recordings"][k]}
@@ -519,6 +529,11 @@ def _played(table: Array, duration: float) -> Callable[[float, State], Array]:
 
     play.blind = True  # type: ignore[attr-defined]  # read by `Forced`: it ignores the state
     return play
+
+
+def _places(start: State, near: Array | None) -> Array | None:
+    """Places (n, 3) m where a vehicle may come: ``near`` (n, 2) m, at the height of its start."""
+    return None if near is None else np.column_stack([near, np.full(len(near), np.asarray(start.position, float)[2])])
 
 
 def _reach(start: State, duration: float) -> Array:

@@ -23,6 +23,7 @@ from vehsim.intake.tables import dotted
 from vehsim.planning.terms import LIMITS
 from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS, SHARES_OF_TIME, Reviewed, Trait
 from vehsim.vehicles.definition.quantities import in_degrees
+from vehsim.world.ground.below import above_ground
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -221,20 +222,15 @@ def _power(track: Track, vehicle: Any, world: World | None) -> Array | None:
     air, c, height = ca.SX.sym("air", 6), ca.SX.sym("c", len(vehicle.controls)), ca.SX.sym("height")
     power = ca.Function("power", [air, c, height], [law(air, c, height)])
     airs = np.hstack([track.omegas, _at_origin(track, vehicle, (0.0, 0.0, 0.0) if world is None else world.wind)])
-    heights = _above_ground(track.positions + track.rotations @ vehicle.origin, world)
+    heights = _heights(vehicle, track.positions + track.rotations @ vehicle.origin, world)
     return np.asarray(power.map(len(airs))(airs.T, track.controls.T, heights[None])).ravel()
 
 
-def _above_ground(points: Array, world: World | None) -> Array:
-    """Heights (n,) m of ``points`` (n, 3) above the terrain, standing obstacle or water below them; inf over none."""
-    from vehsim.world.ground.touchdown import height_below
-
-    if world is None:
-        return np.full(len(points), np.inf)
-    ground = height_below(world, points)
-    if world.water is not None:
-        ground = np.maximum(ground, world.water.level)
-    return np.asarray(points[:, 2] - ground)
+def _heights(vehicle: Any, points: Array, world: World | None) -> Array:
+    """Heights (n,) m of a vehicle's body frame at ``points`` (n, 3) m above the ground that its rotors feel; inf over
+    none."""
+    ground = getattr(above_ground(vehicle, world, points), "ground", None)
+    return np.full(len(points), np.inf) if ground is None else points[:, 2] - ground.heights(points[:, :2])
 
 
 def _rests(track: Track) -> NDArray[np.intp]:

@@ -480,7 +480,8 @@ def _applied_wrench(vehicle: Any) -> Any:
     c, air = ca.SX.sym("c", 4), ca.SX.sym("air", 6)
     wrench = ca.SX(vehicle.wrench(c))
     if vehicle.rotors is not None:
-        wrench[:3] += ca.SX(vehicle.rotors(air, c))
+        far = ca.SX(np.inf)  # feedback makes up for the ground's cushion
+        wrench[:3] += ca.SX(vehicle.rotors(air, c, far))
     return ca.Function("applied", [c, air], [ca.densify(wrench), ca.densify(ca.jacobian(wrench, c))])
 
 

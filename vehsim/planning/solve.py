@@ -66,6 +66,7 @@ def begin(
     """
     marks, began = request.marks, time.monotonic()
     blocks = blocks_of(request, transcription, cover) if blocks is None else blocks
+    blocks = blocks if clip is None else tuple(block.complete() for block in blocks)
     fixed = fixed_durations(marks, request.fps)
     durations = fixed
     if np.isnan(fixed).any():
@@ -147,7 +148,18 @@ def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
             break
         iterate = replace(iterate, blocks=blocks)
         solved = _solve_active(run, iterate, "again", patience)
+    if solved.success and not run.deadline.late:
+        solved = _completed(run, solved, patience)
     return solved
+
+
+def _completed(run: Run, solved: Iterate, patience: Patience) -> Iterate:
+    """A solution with what its blocks left out before it was found."""
+    blocks = tuple(block.complete() for block in solved.blocks)
+    if all(new is old for new, old in zip(blocks, solved.blocks, strict=True)):
+        return solved
+    whole = replace(solved, blocks=blocks)
+    return _solve_active(run, whole, "again", patience) if solved.transcription.rides_on_air else whole
 
 
 def _solve_active(run: Run, iterate: Iterate, start: Start, patience: Patience) -> Iterate:

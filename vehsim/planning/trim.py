@@ -15,6 +15,7 @@ from vehsim.lie.quaternions import from_yaw, yaw_tilt
 from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import conservative
+from vehsim.world.ground.below import aloft
 from vehsim.world.obstacles.articulated import swings_of
 
 Array = NDArray[np.float64]
@@ -161,7 +162,8 @@ def flies(vehicle: Vehicle) -> bool:
 @lru_cache(maxsize=16)
 def _standing(vehicle: Vehicle) -> ca.Function:
     """A function of the controls (c,), roll and pitch (2,) rad, world velocity (3,) and wind (3,) m/s: the force on the
-    vehicle, and its derivative by the controls."""
+    vehicle, far above the ground if it flies, and its derivative by the controls."""
+    vehicle = aloft(vehicle)
     s, d, group = len(vehicle.joints), vehicle.group.dim, vehicle.group
     c, lean, velocity, wind = (ca.SX.sym("x", n) for n in (len(vehicle.controls), 2, 3, 3))
     still = ca.SX(list(group.identity))

@@ -50,15 +50,16 @@ def _after(clip: Clip, last: int, world: World) -> Clip:
 def _before(clip: Clip, first: int, world: World) -> Clip:
     from vehsim.integrators.integrator import Integrator
     from vehsim.integrators.record import build_clip
-    from vehsim.world.ground.slope import on_terrain
+    from vehsim.world.ground.below import with_ground
 
     frames = clip.start_frame - first
     per_frame = int(np.ceil(240 / float(clip.fps)))
     h = 1 / float(clip.fps) / per_frame
     wind = np.asarray(world.wind, float)
     far = (float(np.linalg.norm(clip.twists[0])) + 10.0) * frames / float(clip.fps)
-    places = clip.positions[0, :2] + np.array([[-far], [far]])
-    integrator = Integrator(on_terrain(clip.vehicle, world.on_level(clip.positions[:1], places), places), h, wind=wind)
+    places = clip.positions[0] + far * np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
+    level = world.on_level(clip.positions[:1], places[:, :2])
+    integrator = Integrator(with_ground(clip.vehicle, level, places), h, wind=wind)
     controls, state = clip.controls[0], clip.state(0)
     phases = [integrator.start(state, controls)]
     anchor = integrator.anchor(state, phases[0])

@@ -81,6 +81,10 @@ class Block:
         """The block with the constraints that a solution violates added to its active set; itself if there are none."""
         return self
 
+    def complete(self) -> Self:
+        """The block with what it leaves out until a first motion is found; itself if that is nothing."""
+        return self
+
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
         """The finding of this block on the finished clip of a trajectory."""
         return Finding()

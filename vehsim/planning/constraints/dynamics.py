@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,6 +26,9 @@ from vehsim.planning.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
+ALOFT = 1e3
+"""How much lower the ground below rotors lies until a first motion is found, m: from a guess, solves with it took three
+times the iterations beside steps of the ground, such as a pad's."""
 TURNS = 4 * np.pi
 """How far headings in the plane may be from those of the initial guess, rad. Along linearised equations, turning many
 times over is a cheap way to move; without a bound, steps of the solver do so over long times. Tyres that slip resist
@@ -36,10 +40,17 @@ class Dynamics(Block):
     """The discrete mechanics of every segment outside of holds; during holds state and controls are constant.
 
     Controls and joints stay within the vehicle's bounds, and without slipping tyres headings stay within `TURNS` of
-    the guess.
+    the guess. ``aloft``: rotors do not feel the ground.
     """
 
     marks: Sequence[Mark]
+    aloft: bool = True
+
+    def complete(self) -> Dynamics:
+        return replace(self, aloft=False) if self.aloft else self
+
+    def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
+        return {"depth": ALOFT if self.aloft else 0.0} if trajectory.transcription.rides_on_air else {}
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         return "dynamics", tuple(mark.hold > 0 for mark in self.marks)

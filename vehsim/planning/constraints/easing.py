@@ -111,10 +111,10 @@ def balance_element(transcription: Transcription, price: float, on_ground: bool 
     """
 
     def make() -> Element:
-        v, wind = transcription.symbols("x", "c0"), ca.SX.sym("wind", 3)
-        off = imbalance(transcription, v["x"], v["c0"], wind)
+        v = transcription.symbols("x", "c0")
+        off = imbalance(transcription, v["x"], v["c0"])
         f = price * _abrupt(ca.vertcat(off[:3], off[5]) if on_ground and off.shape[0] == 6 else off)
-        return Element("balance", ca.vertcat(*v.values()), {"wind": wind}, f=f)
+        return Element("balance", ca.vertcat(*v.values()), transcription.air, f=f)
 
     return transcription.kept(("balance", price, on_ground), make)
 

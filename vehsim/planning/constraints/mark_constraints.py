@@ -77,7 +77,7 @@ class MarkConstraint(Block):
         y = np.vstack([layout.knot(knot), layout.control(knot)])
         if self.price:
             y = np.vstack([y, problem.variables(2 * len(element.labels))[:, None]])
-        own = {key: size for key, size in element.sizes.items() if key != "wind"}
+        own = {key: size for key, size in element.sizes.items() if key not in transcription.air}
         parameters = {key: problem.parameter(self._parameter(key), size) for key, size in own.items()}
         problem.add(element, y, parameters, names=[self.mark.name])
 
@@ -133,11 +133,11 @@ def mark_values(mark: Mark) -> dict[str, Array]:
 def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = None) -> Element | None:
     """The constraints of a mark at its knot: (x, c0).
 
-    Parameters: the wind, and the mark's values by key (see `mark_values`). ``known``: a mark whose state holds anyway,
-    as in a loop; its constraints are not repeated.
+    Parameters: those of `Transcription.air`, and the mark's values by key (see `mark_values`). ``known``: a mark whose
+    state holds anyway, as in a loop; its constraints are not repeated.
     """
     v = transcription.symbols("x", "c0")
-    x, c, wind = v["x"], v["c0"], ca.SX.sym("wind", 3)
+    x, c = v["x"], v["c0"]
     sizes = {**PARAMETERS, "joints": transcription.sizes[1]}
     wanted = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
     view, g = knot_view(transcription, x, c), transcription.split(x)[0]
@@ -148,7 +148,7 @@ def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = 
         return {
             "position": _place(transcription, mark, view, wanted),
             attitude: _attitude(transcription, mark, root_pose(transcription.vehicle, g), wanted),
-            "velocity (balance)": _equal(imbalance(transcription, x, c, wind)) if balance else [],
+            "velocity (balance)": _equal(imbalance(transcription, x, c)) if balance else [],
             "speed" if mark.velocity is None else "velocity": _motion(transcription, mark, view, x, c, wanted),
             "joints": _joints(mark, view, wanted),
             "hold": [(c[k], 0.0, 0.0) for _, k in transcription.vehicle.driven] if mark.hold else [],
@@ -162,7 +162,9 @@ def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = 
         return None
     rows, lower, upper = zip(*(row for rows in fixed.values() for row in rows), strict=True)
     y, given = ca.vertcat(*v.values()), {key: wanted[key] for key in sizes if getattr(mark, key) is not None}
-    return Element("mark", y, {"wind": wind, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels)
+    return Element(
+        "mark", y, {**transcription.air, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels
+    )
 
 
 def asks_balance(vehicle: Vehicle, mark: Mark) -> bool:
@@ -212,11 +214,11 @@ def same_state(transcription: Transcription, x: Expr, c: Expr, x1: Expr, c1: Exp
     return ca.vertcat(shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / transcription.momentum_scale, c1 - c)
 
 
-def imbalance(transcription: Transcription, x: Expr, c: Expr, wind: Expr) -> Expr:
-    """Acceleration along the free velocities of a vehicle at rest, (n_z,)."""
-    vehicle, (g, r, _) = transcription.vehicle, transcription.split(x)
+def imbalance(transcription: Transcription, x: Expr, c: Expr) -> Expr:
+    """Acceleration along the free velocities of a vehicle at rest, (n_z,), in the symbols of `Transcription.air`."""
+    vehicle, (g, r, _) = transcription.in_air, transcription.split(x)
     still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
-    forces = vehicle.force(g, r, *still, c * transcription.control_scale, wind)
+    forces = vehicle.force(g, r, *still, c * transcription.control_scale, transcription.air["wind"])
     weight = conservative(vehicle, g, r)
     total = [a + b for a, b in zip(forces, weight, strict=True)]
     return project(vehicle, r, *total) / transcription.momentum_scale

@@ -71,7 +71,7 @@ def least_push(transcription: Transcription, mark: Mark, wind: Any) -> tuple[flo
     kept = [i for i, label in enumerate(element.labels) if label != BALANCE]
     gauge = np.ones(len(_gauge(transcription, element)))
     lower, upper = (np.append(np.asarray(bound)[kept], gauge) for bound in (element.lower, element.upper))
-    values = {"wind": np.asarray(wind, float), **mark_values(mark)}
+    values = {"wind": np.asarray(wind, float), "depth": np.zeros(1), **mark_values(mark)}
     p = np.concatenate([values[name] for name in element.sizes])
     c_lower = np.array([c.lower for c in transcription.vehicle.controls]) / transcription.control_scale
     c_upper = np.array([c.upper for c in transcription.vehicle.controls]) / transcription.control_scale

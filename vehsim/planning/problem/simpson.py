@@ -29,23 +29,23 @@ def simpson(transcription: Transcription) -> Element:
     pose and joints.
     """
     t, m = transcription, transcription.mechanics
-    v, wind = t.symbols("x", "z", "c0", "c1", "x1", "h"), ca.SX.sym("wind", 3)
+    v, wind, depth = t.symbols("x", "z", "c0", "c1", "x1", "h"), t.air["wind"], t.air.get("depth", 0)
     g, r, pi = t.split(v["x"])
     g1, r1, pi1 = t.split(v["x1"])
     h, step = v["h"], v["c1"] - v["c0"]
     a, middle, b = ((v["c0"] + s * step) * t.control_scale for s in (0.0, 0.5, 1.0))
-    laws, weight = _laws(t), t.weight
+    laws, ground = _laws(t), t.ground
     cells = ca.SX.sym("cells", laws.size1_in("cell"), 3)
 
     u, xi = m.knot_velocity(r, pi, a)
     u1, xi1 = m.knot_velocity(r1, pi1, b)
-    g_dot, _, push = laws(g, r, u, xi, a, wind, cells[:, 0])
-    g1_dot, _, push1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1])
+    g_dot, _, push = laws(g, r, u, xi, a, wind, cells[:, 0] - depth)
+    g1_dot, _, push1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth)
     gm, rm = (g + g1) / 2 + h / 8 * (g_dot - g1_dot), (r + r1) / 2 + h / 8 * (u - u1)
     pose = ca.SX.sym("pose", gm.shape[0] + rm.shape[0])
     g_, r_ = ca.vertsplit(pose, [0, gm.shape[0], pose.shape[0]])
     um, xim = free_velocity(t.vehicle, r_, v["z"], m.driven(middle))
-    gm_dot, pim, pushm = laws(g_, r_, um, xim, middle, wind, cells[:, 2])
+    gm_dot, pim, pushm = laws(g_, r_, um, xim, middle, wind, cells[:, 2] - depth)
 
     next_g, next_r = (
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
@@ -57,12 +57,12 @@ def simpson(transcription: Transcription) -> Element:
     at_end = pi1 - pi - h / 6 * (push + 4 * pushm + push1)
     residuals = (at_middle / t.momentum_scale, at_end / t.momentum_scale, missed, next_r - r1)
     space = None
-    if weight is not None:
-        places = ca.horzcat(*(weight.place(at) for at in (g, g1, gm)))
+    if ground is not None:
+        places = ca.horzcat(*(ground.place(at) for at in (g, g1, gm)))
         models = ca.vertcat(ca.SX.sym("places", 2, 3), cells)
-        space = SpatialField(places, models, lambda count, order: weight.relief.cells(count))
+        space = SpatialField(places, models, lambda count, order: ground.cells(count))
     return Element(
-        "dynamics", ca.vertcat(*v.values()), {"wind": wind}, g=ca.vertcat(*residuals), space=space,
+        "dynamics", ca.vertcat(*v.values()), t.air, g=ca.vertcat(*residuals), space=space,
         inner=(pose, ca.vertcat(gm, rm)),
     )  # fmt: skip
 

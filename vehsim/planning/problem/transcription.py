@@ -21,6 +21,7 @@ from vehsim.integrators.discrete import mechanics_of
 from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.planning.problem.elements import Element, SpatialField
 from vehsim.vehicles import Vehicle
+from vehsim.world.ground.below import Below
 from vehsim.world.ground.slope import Weight
 
 Array = NDArray[np.float64]
@@ -71,41 +72,65 @@ class Transcription:
     def variational(self) -> Element:
         """The discrete equations of a segment of order 2, those of the integrator: (x, z, c0, c1, x1, h).
 
-        Parameter: ``wind`` (3,) m/s.
+        Parameters: `air`.
         """
-        v, wind = self.symbols("x", "z", "c0", "c1", "x1", "h"), ca.SX.sym("wind", 3)
+        v, wind, depth = self.symbols("x", "z", "c0", "c1", "x1", "h"), self.air["wind"], self.air.get("depth", 0)
         g, r, pi = self.split(v["x"])
         g1, r1, pi1 = self.split(v["x1"])
         given = (g, r, v["z"], v["c0"] * self.control_scale, v["c1"] * self.control_scale, v["h"], wind)
-        segment, weight = self.segment, self.weight
+        segment, ground = self.segment, self.ground
         cells = ca.SX.sym("cells", segment.size_in("cell")[0], 2)
-        left, _, next_g, next_r = segment(*given, cells[:, 0])
-        _, right, _, _ = segment(*given, cells[:, 1])
+        left, _, next_g, next_r = segment(*given, cells[:, 0] - depth)
+        _, right, _, _ = segment(*given, cells[:, 1] - depth)
         residuals = ((left - pi) / self.momentum_scale, (right - pi1) / self.momentum_scale, next_g - g1, next_r - r1)
         space = None
-        if weight is not None:
-            places = ca.horzcat(weight.place(g), weight.place(next_g))
+        if ground is not None:
+            places = ca.horzcat(ground.place(g), ground.place(next_g))
             models = ca.vertcat(ca.SX.sym("places", 2, 2), cells)
-            space = SpatialField(places, models, lambda count, order: weight.relief.cells(count))
-        return Element("dynamics", ca.vertcat(*v.values()), {"wind": wind}, g=ca.vertcat(*residuals), space=space)
+            space = SpatialField(places, models, lambda count, order: ground.cells(count))
+        return Element("dynamics", ca.vertcat(*v.values()), self.air, g=ca.vertcat(*residuals), space=space)
 
     @cached_property
-    def weight(self) -> Weight | None:
-        """The vehicle's weight on a terrain, if it has one."""
-        potential = getattr(self.vehicle, "potential_energy", None)
-        return potential if isinstance(potential, Weight) else None
+    def _on_relief(self) -> tuple[str, Any]:
+        """The field of the vehicle that depends on the ground's relief, and its law; None: no field does."""
+        laws = ((field, getattr(self.vehicle, field, None)) for field in ("potential_energy", "ground"))
+        return next(((field, law) for field, law in laws if isinstance(law, Weight | Below)), ("", None))
+
+    @property
+    def ground(self) -> Any:
+        """The vehicle's weight on a terrain's relief, or the relief below its rotors; None: neither."""
+        return self._on_relief[1]
+
+    @property
+    def rides_on_air(self) -> bool:
+        """Whether there is ground below rotors, which need less power near it."""
+        return isinstance(self.ground, Below)
+
+    @cached_property
+    def air(self) -> dict[str, Any]:
+        """Symbols of what a solve is given of the surroundings, by name: ``wind`` (3,) m/s, and for rotors above ground
+        ``depth`` m, by which the ground is lower."""
+        return {"wind": ca.SX.sym("wind", 3)} | ({"depth": ca.SX.sym("depth")} if self.rides_on_air else {})
+
+    @cached_property
+    def in_air(self) -> Vehicle:
+        """The vehicle above its ground at the ``depth`` of `air`."""
+        if not self.rides_on_air:
+            return self.vehicle
+        return replace(self.vehicle, ground=replace(self.ground, depth=self.air["depth"]))  # type: ignore[call-arg]  # a holonomic vehicle has it
 
     @cached_property
     def local(self) -> tuple[Any, Vehicle]:
-        """Symbols of the terrain's cell in which the weight acts, see `Relief.cells`, and the vehicle within that cell.
+        """Symbols of the relief's cell at which the vehicle is, see `Relief.cells`, and the vehicle within that cell.
 
-        Without a weight on a terrain, there are no symbols, and it is the vehicle itself.
+        Without a relief, there are no symbols, and it is the vehicle itself.
         """
-        if self.weight is None:
+        field, law = self._on_relief
+        if law is None:
             return ca.SX.sym("cell", 0), self.vehicle
-        # everywhere at once, the terrain would need a hundred times as many operations
-        cell = ca.SX.sym("cell", self.weight.relief.CELL)
-        return cell, replace(self.vehicle, potential_energy=replace(self.weight, cell=cell))  # type: ignore[call-arg]  # a weight belongs to a nonholonomic vehicle
+        # everywhere at once, the relief would need a hundred times as many operations
+        cell = ca.SX.sym("cell", law.CELL)
+        return cell, replace(self.vehicle, **{field: replace(law, cell=cell)})
 
     @property
     def segment(self) -> ca.Function:

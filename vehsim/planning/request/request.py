@@ -28,6 +28,7 @@ from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import BRISK, DEFAULT
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground import touchdown
+from vehsim.world.ground.below import above_marks
 from vehsim.world.ground.levels import NEAR
 from vehsim.world.ground.placing import can_stand
 from vehsim.world.ground.slope import on_terrain
@@ -119,8 +120,10 @@ class Request:
 
     @property
     def weighed(self) -> Vehicle:
-        """The vehicle with the force of gravity on slopes."""
-        return on_terrain(self.vehicle, self.world, mark_positions(self.marks))
+        """The vehicle with the force of gravity on slopes, or with the ground below its rotors."""
+        places = mark_positions(self.marks)
+        flies = self.vehicle.group.dim == 6
+        return (above_marks if flies else on_terrain)(self.vehicle, self.world, places)
 
     @property
     def hazards(self) -> bool:

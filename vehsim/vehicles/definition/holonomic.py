@@ -25,9 +25,10 @@ class Holonomic(Vehicle):
     controls (c,) -> body wrench (d,), N m and N; None: no actuators. ``drag``: body twist relative to the air (d,) ->
     body wrench (d,), which must not add power; None: no drag. ``resistance``: body twist (d,) and controls (c,) -> body
     wrench (d,) of a medium at rest in the world, such as calm water; None: no resistance. ``rotors``: body twist
-    relative to the air and controls -> torque (3,), N m, with which rotors react on the body beside ``wrench``; None:
-    no reaction. ``power``: the same, and the height of the body frame's origin above the ground, m -> power at the
-    shafts of its rotors, W; None: unknown. ``gravity``: m/s^2, acts on ``mass`` along -Z; ``mass`` defaults to the
+    relative to the air, controls, and the height of the body frame's origin above the ground, m -> torque (3,), N m,
+    with which rotors react on the body beside ``wrench``; None: no reaction. ``power``: of the same -> power at the
+    shafts of its rotors, W; None: unknown. ``ground``: group coordinates -> height of the ground below, m; None: far
+    below. ``gravity``: m/s^2, acts on ``mass`` along -Z; ``mass`` defaults to the
     translational inertia and is necessary with added mass.
 
     Raises ``InputError`` if the inertia has the wrong shape or is not symmetric and positive definite, or if a law has
@@ -38,8 +39,9 @@ class Holonomic(Vehicle):
     wrench: Callable[[Expr], Expr] | None = None
     drag: Callable[[Expr], Expr] | None = None
     resistance: Callable[[Expr, Expr], Expr] | None = None
-    rotors: Callable[[Expr, Expr], Expr] | None = None
+    rotors: Callable[[Expr, Expr, Expr], Expr] | None = None
     power: Callable[[Expr, Expr, Expr], Expr] | None = None
+    ground: Callable[[Expr], Expr] | None = None
     mass: float | None = None
     gravity: float = GRAVITY
 
@@ -90,8 +92,14 @@ class Holonomic(Vehicle):
     def connection(self, r: Expr) -> Expr:
         return ca.SX(self.group.dim, 0)
 
-    @built_once
     def force(self, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, wind: Expr) -> tuple[Expr, Expr]:
+        # apart from the rest, because it may have symbols of its own, of a cell of the ground's relief
+        height = np.inf if self.ground is None else self.group.pose(g)[2] - self.ground(g)
+        applied: tuple[Expr, Expr] = self._force(g, xi, c, wind, height)
+        return applied
+
+    @built_once
+    def _force(self, g: Expr, xi: Expr, c: Expr, wind: Expr, height: Expr) -> tuple[Expr, Expr]:
         d, group = self.group.dim, self.group
         air, through = (group.velocity_to_body(g, x) for x in (xi - _still(group, g, wind), xi))
         body = ca.SX(d, 1)
@@ -100,7 +108,7 @@ class Holonomic(Vehicle):
         if self.drag is not None:
             body += law(self, "drag", d, self.drag, air)
         if self.rotors is not None:
-            body[:3] += law(self, "rotors", 3, self.rotors, air, c)
+            body[:3] += law(self, "rotors", 3, self.rotors, air, c, height)
         if self.resistance is not None:
             body += law(self, "resistance", d, self.resistance, through, c)
         return ca.SX(0, 1), group.wrench_from_body(g, body)

@@ -6,7 +6,6 @@ in-plane drag, the fuselage and the tail surfaces their forces and moments. With
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -113,21 +112,22 @@ def helicopter(
             torque += hub_stiffness * ca.vertcat(ca.sin(c[3]), ca.sin(c[2]), 0)
         return ca.vertcat(torque, thrust + force)
 
-    def main_power(air: Expr, c: Expr, hub_height: Expr = math.inf) -> Expr:
+    def main_power(air: Expr, c: Expr, height: Expr) -> Expr:
+        """Power of the main rotor, W, ``d_t`` above a centre of mass at a ``height`` m above the ground."""
         along = ca.dot(direction(c), air[3:6])
-        return main.power(c[0], along, ca.sumsqr(air[3:6]) - along**2 + 1e-6, hub_height)
+        return main.power(c[0], along, ca.sumsqr(air[3:6]) - along**2 + 1e-6, height + d_t)
 
     def power(air: Expr, c: Expr, height: Expr) -> Expr:
-        """Power of both rotors, W, of which the main rotor is ``d_t`` above the centre of mass."""
-        total = main_power(air, c, height + d_t)
+        """Power of both rotors, W."""
+        total = main_power(air, c, height)
         if tail_radius:
             across = air[3] ** 2 + air[5] ** 2 + 1e-6
             total += tail.power(c[1], -air[4], across)
         return total
 
-    def torque(air: Expr, c: Expr) -> Expr:
+    def torque(air: Expr, c: Expr, height: Expr) -> Expr:
         """The reaction of the main rotor's torque on the fuselage."""
-        about = main_power(air, c) / main.speed
+        about = main_power(air, c, height) / main.speed
         return -about * ca.vertcat(ca.sin(mast_tilt), 0, ca.cos(mast_tilt))
 
     linear, quadratic, angular = (ca.DM(list(map(float, d))) for d in (drag_linear, drag_quadratic, drag_angular))

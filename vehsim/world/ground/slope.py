@@ -43,7 +43,7 @@ def on_terrain(vehicle: Vehicle, world: Any, places: ArrayLike | None = None) ->
         return vehicle
     if np.ptp(terrain.heights) < 1e-9:
         return vehicle
-    box = _box(terrain, places)
+    box = box_around(terrain.lower[:2], terrain.upper[:2], places)
     kept = vehicle.__dict__.setdefault("_on_terrain", {})
     key = (terrain.content_hash, box.tobytes())
     if key not in kept:
@@ -52,9 +52,9 @@ def on_terrain(vehicle: Vehicle, world: Any, places: ArrayLike | None = None) ->
     return found
 
 
-def _box(terrain: Terrain, places: ArrayLike | None) -> Array:
-    """Lower and upper corner (2, 2) m of the region where the slope is resolved, to whole multiples of `ROOM`."""
-    lower, upper = terrain.lower[:2], terrain.upper[:2]
+def box_around(lower: Array, upper: Array, places: ArrayLike | None) -> Array:
+    """Lower and upper corner (2, 2) m of the region around ``places`` (n, 2 or more) m where heights are resolved, to
+    whole multiples of `ROOM`, within given corners (2,) m."""
     if places is None:
         return np.array([lower, upper])
     at = np.asarray(places, float)[:, :2]
@@ -84,6 +84,15 @@ class Weight:
 
         c, s = ca.cos(g[0]), ca.sin(g[0])
         return ca.vertcat(g[1] + c * self.root[0] - s * self.root[1], g[2] + s * self.root[0] + c * self.root[1])
+
+    @property
+    def CELL(self) -> int:
+        """Size of a cell."""
+        return self.relief.CELL
+
+    def cells(self, count: int) -> Any:
+        """See `Relief.cells`."""
+        return self.relief.cells(count)
 
     def __call__(self, g: Any, r: Any) -> Any:
         height = self.relief.height(self.place(g), self.cell)
