@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from vehsim import Shot, load_vehicle
 from vehsim.assets import shipped
@@ -15,6 +16,8 @@ from vehsim.cli import commands as cli
 from vehsim.cli.inspect import inspect, write_vehicle
 from vehsim.cli.new import new_shot
 from vehsim.errors import InputError
+from vehsim.rig.linkage import moved
+from vehsim.rig.ops import frames_of
 
 ELSEWHERE = Path(__file__).parents[1] / "assets_elsewhere"
 OWN = {path.parent.name: path.parent for path in sorted(ELSEWHERE.glob("*/vehicle.toml"))}
@@ -35,7 +38,7 @@ def written(folder: Path, to: Path) -> Path:
 @pytest.mark.parametrize("name", HANDMADE)
 def test_inspect_agrees_with_the_riggers_vehicle_toml(tmp_path: Path, name: str) -> None:
     ours, theirs = load_vehicle(written(HANDMADE[name], tmp_path / name)), load_vehicle(HANDMADE[name])
-    driven = {channel for channel in theirs.rig.drives if not channel.startswith(("travel_", "coning_"))}
+    driven = {channel for channel in theirs.rig.drives if not channel.startswith("travel_")}
     if name == "crawler":
         driven |= {"steer_fl", "steer_fr"}  # its author left them out
     if "main_rotor" in driven:
@@ -254,3 +257,62 @@ def test_a_blocked_vehicle_of_cylinders_and_cubes_drives(tmp_path: Path) -> None
     assert way > 1 and mean * 0.35 == pytest.approx(way, rel=0.05)
     shapes = StageReader(tmp_path / "out" / f"{take.name}.usda").shapes
     assert sum("wheel_" in shape.name for shape in shapes) == 4
+
+
+def test_inspect_proposes_coning_for_blades_on_their_own_hinges(tmp_path: Path) -> None:
+    """Three blades along their own Y; with the numbers that the file proposes in comments, they cone. Blades without
+    frames of their own get no channel."""
+    from pxr import Gf, Usd, UsdGeom
+
+    def asset(name: str, framed: bool) -> Path:
+        stage = Usd.Stage.CreateNew(str(tmp_path / f"{name}.usda"))
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        root = UsdGeom.Xform.Define(stage, "/bird")
+        stage.SetDefaultPrim(root.GetPrim())
+
+        def block(path: str, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+            cube = UsdGeom.Cube.Define(stage, path)
+            cube.CreateSizeAttr(1.0)
+            cube.AddTranslateOp().Set(Gf.Vec3d(*(np.add(low, high) / 2).tolist()))
+            cube.AddScaleOp().Set(Gf.Vec3f(*np.subtract(high, low).tolist()))
+
+        block("/bird/body", (-2, -0.5, 0), (2, 0.5, 1.5))
+        rotor = UsdGeom.Xform.Define(stage, "/bird/main_rotor")
+        rotor.AddTranslateOp().Set(Gf.Vec3d(0, 0, 2))
+        for k in range(3):
+            blade = UsdGeom.Xform.Define(stage, f"/bird/main_rotor/blade_{k}")
+            if framed:
+                blade.AddRotateZOp().Set(120.0 * k)
+                block(f"{blade.GetPath()}/look", (-0.1, 0.3, 0), (0.1, 4, 0.05))
+            else:
+                box, turn = trimesh.creation.box((0.2, 3.7, 0.05)), np.radians(120.0 * k)
+                flat = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+                points = box.vertices + np.array([0, 2.15, 0.025])
+                points[:, :2] = points[:, :2] @ flat.T
+                mesh = UsdGeom.Mesh.Define(stage, f"{blade.GetPath()}/look")
+                mesh.CreatePointsAttr([Gf.Vec3f(*point) for point in points.tolist()])
+                mesh.CreateFaceVertexCountsAttr([3] * len(box.faces))
+                mesh.CreateFaceVertexIndicesAttr(box.faces.ravel().tolist())
+        stage.Save()
+        return tmp_path / f"{name}.usda"
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        text = write_vehicle(inspect(asset("bird", True)), tmp_path / "bird").read_text()
+        plain = write_vehicle(inspect(asset("plain", False)), tmp_path / "plain").read_text()
+    assert "coning" not in plain
+    assert 'prim = ["main_rotor/blade_0", "main_rotor/blade_1", "main_rotor/blade_2"]' in text
+    for key in ("rotor_radius", "solidity", "lock_number", "blades_up"):
+        text = text.replace(f"# {key}", key)
+    (tmp_path / "bird/vehicle.toml").write_text(text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        bird = load_vehicle(tmp_path / "bird")
+    assert bird.parameters == {} and {"coning_1", "coning_2", "coning_3"} < set(bird.rig.drives)
+    poses = {f"coning_{k}": np.array([0.1]) for k in (1, 2, 3)}
+    for k in range(3):
+        path = f"main_rotor/blade_{k}"
+        R, p = moved(bird.rig, path, poses, 1)
+        tip = frames_of(bird.rig)[path] @ [0.0, 4.0, 0.0, 1.0]
+        assert (R @ tip[:3] + p)[0, 2] - tip[2] == pytest.approx(4 * np.sin(0.1), abs=1e-6)

@@ -1,6 +1,7 @@
 """The helicopter's aerodynamics against momentum theory and the published trim of the Bo 105."""
 
 import math
+import shutil
 from pathlib import Path
 
 import casadi as ca
@@ -9,6 +10,7 @@ import pytest
 
 import vehsim
 from vehsim.constants import AIR, GRAVITY
+from vehsim.errors import InputError
 from vehsim.planning.trim import steady
 from vehsim.rig.linkage import moved
 from vehsim.rig.ops import frames_of
@@ -148,6 +150,24 @@ def test_blades_of_the_rig_rise_with_thrust():
         tips = R @ outward[:3] + p
         assert tips[1] == pytest.approx(outward[:3], abs=2e-3)
         assert tips[2, 2] - tips[0, 2] == pytest.approx(0.11, abs=0.01)
+
+
+def test_a_channel_moves_several_prims_by_a_list_or_by_numbered_tables(tmp_path):
+    """The shipped list of blades, and the same in tables of their own, drive the same prims with the same law."""
+    shipped = vehsim.load_vehicle("helicopter")
+    text = (shipped.rig.folder / "vehicle.toml").read_text()
+    listed = text[text.index("[channels.coning]") : text.index("[channels.tail_rotor]")]
+    tables = "".join(
+        f'[channels.coning_{k}]\nprim = "main_rotor/blade_{k}"\nop = "rotateX"\n' for k in (1, 2, 3)
+    )  # fmt: skip
+    shutil.copy(shipped.rig.asset, tmp_path / "helicopter.usdc")
+    (tmp_path / "vehicle.toml").write_text(text.replace(listed, tables))
+    own = vehsim.load_vehicle(tmp_path)
+    assert own.rig.drives == shipped.rig.drives and list(own.channels) == list(shipped.channels)
+    for wrong in ("[channels.coned_1]", "[channels.coning_x]", "[channels.yaw_1]"):
+        (tmp_path / "vehicle.toml").write_text(text.replace(listed, tables.replace("[channels.coning_1]", wrong)))
+        with pytest.raises(InputError, match="channels"):
+            vehsim.load_vehicle(tmp_path)
 
 
 def test_the_papers_blades_do_not_cone():

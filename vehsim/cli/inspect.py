@@ -23,7 +23,7 @@ from vehsim.errors import InputError
 from vehsim.intake.polygons import has_polygons
 from vehsim.intake.reader import Answer, read_cached
 from vehsim.intake.usd import SUFFIXES, open_stage
-from vehsim.rig.rig import DISC_PITCH, DISC_ROLL
+from vehsim.rig.rig import CONING, DISC_PITCH, DISC_ROLL
 
 if TYPE_CHECKING:
     from vehsim.rig.parts import Part
@@ -258,12 +258,22 @@ def _spins(part: Part, points: Array) -> Iterator[tuple[str, Array, float, Array
         middle = (flat.min(0) + flat.max(0)) / 2
         angles = np.linspace(0, 2 * np.pi, 36, endpoint=False)
         reach = ((flat - middle) @ np.stack([np.cos(angles), np.sin(angles)])).max(0)
+        if not reach.max() < ROUND * reach.min():
+            middle = _enclosing(flat, middle)  # three blades have their box's middle elsewhere
+            reach = ((flat - middle) @ np.stack([np.cos(angles), np.sin(angles)])).max(0)
         width, radius = float(np.ptp(along)), float(reach.max())
         if radius > 0 and width < THIN * 2 * radius:
             centre = middle @ across + axis * (along.min() + along.max()) / 2
             found.append((width / radius, letter, axis, radius, centre, bool(reach.max() < ROUND * reach.min())))
     best = sorted(found, key=lambda one: (not one[-1], one[0]))[:1]
     yield from ((letter, axis, radius, centre, rim) for _, letter, axis, radius, centre, rim in best)
+
+
+def _enclosing(points: Array, centre: Array) -> Array:
+    """The centre (2,) of the smallest circle around points (n, 2), within 0.3 % of its radius (Badoiu and Clarkson)."""
+    for k in range(1, 400):
+        centre = centre + (points[np.argmax(((points - centre) ** 2).sum(axis=1))] - centre) / (k + 1)
+    return centre
 
 
 def _inside_instance(asset: Path, root: str | None, path: str) -> bool:
@@ -501,13 +511,15 @@ def _rotorcraft(found: Inspection) -> tuple[str, str] | None:
     if not upright:
         return None
     main = max(upright, key=lambda one: one.radius)
-    tail = min((one for one in found.rotors if one is not main), key=lambda one: one.centre[0], default=None)
+    others = (one for one in found.rotors if one is not main and not one.spin.startswith(f"{main.spin}/"))
+    tail = min(others, key=lambda one: one.centre[0], default=None)
     mass, centre, inertia = _weighed(found, 150.0)
     lift = GRAVITY * mass
     behind = max(centre[0] - (tail.centre[0] if tail else found.bounds[0, 0]), 0.1)
     above = max(main.centre[2] - centre[2], 0.05)
     channels = _disc(main, found.parts) + _channel("main_rotor", main, aim=AXES[2])
-    channels += _channel("tail_rotor", tail) if tail else ""
+    coned, blades = _coning(main, found.parts)
+    channels += coned + (_channel("tail_rotor", tail) if tail else "")
     return (
         "helicopter",
         f"""\
@@ -521,7 +533,7 @@ d_r = {_digits(behind)}  # tail rotor behind it, m
 drag_quadratic = [0.6, 3.0, 3.0]  # N s^2/m^2 ? leave it out for none
 main_rotor_speed = {_digits(200.0 / main.radius)}  # rad/s: tips at 200 m/s ?
 tail_rotor_speed = {_digits(200.0 / tail.radius) if tail else "200.0"}  # rad/s ?
-
+{blades}
 [controls.collective]  # thrust, N ?
 lower = 0.0
 upper = {_digits(1.8 * lift)}
@@ -561,6 +573,8 @@ inertia = [{", ".join(_digits(x) for x in np.diag(inertia))}]  # kg m^2 ?""",
     )
 
 
+SOLID = 0.2
+"""Blades fill less of a helicopter's disc: with more, they carry something else, such as a blurred disc."""
 KINDS: Mapping[str, Callable[[Inspection], tuple[str, str] | None]] = {
     "rotorcraft": _rotorcraft,
     "car": _car,
@@ -611,6 +625,70 @@ def _disc(one: Round, parts: Sequence[Part]) -> str:
         k = int(np.argmax(np.abs(aim @ frame[:3, :3])))
         text += _channel(name, replace(one, op="XYZ"[k], axis=frame[:3, k]), aim=aim)
     return text
+
+
+@dataclass(frozen=True)
+class Blade:
+    """A blade of an upright rotor on a hinge of its own: the letter of the own axis about which it flaps, and whether
+    turning about that lowers it; its chord, m, and its coning, rad."""
+
+    path: str
+    letter: str
+    lowers: bool
+    chord: float
+    coning: float
+
+
+def _coning(rotor: Round, parts: Sequence[Part]) -> tuple[str, str]:
+    """The channels that raise a rotor's blades on hinges of their own, and the numbers of ``[physics]`` with which they
+    do; empty for fewer than two such blades."""
+    blades: list[Blade] = []
+    for part in sorted(parts, key=lambda one: one.path):
+        if not any(part.path.startswith(f"{blade.path}/") for blade in blades):
+            points = [_points(one) for one in parts if f"{one.path}/".startswith(f"{part.path}/")]
+            blades += _blade(part, np.concatenate(points), rotor)
+    if len(blades) < 2:
+        return "", ""
+    tables: list[tuple[str, Any, Blade]]
+    if len({(blade.letter, blade.lowers) for blade in blades}) == 1:
+        tables = [(CONING, [blade.path for blade in blades], blades[0])]
+    else:
+        tables = [(f"{CONING}_{k}", blade.path, blade) for k, blade in enumerate(blades, 1)]
+    text = "".join(
+        f'[channels.{name}]  # up\nprim = {_toml(prim)}\nop = "rotate{one.letter}"\n' + "factor = -1\n" * one.lowers
+        for name, prim, one in tables
+    )
+    solid = sum(blade.chord for blade in blades) / (np.pi * rotor.radius)
+    return (
+        text,
+        f"""\
+# with these, blades cone with the thrust; the rotor's torque acts too, and a fin_area must keep the nose steady:
+# rotor_radius = {_digits(rotor.radius)}  # m
+# solidity = {_digits(solid) if solid < SOLID else "0.06"}  # area of the blades over that of the disc ?
+# lock_number = 6.0  # of the blades ?
+# blades_up = {_digits(max(0.0, float(np.mean([blade.coning for blade in blades]))))}  # their coning as modelled, rad
+""",
+    )
+
+
+def _blade(part: Part, points: Array, rotor: Round) -> list[Blade]:
+    """The part with its points (n, 3) as a blade, or nothing: it starts near the rotor's axis, reaches its tips, and
+    has an own axis across itself."""
+    origin, reach = part.T_rp[:3, 3], rotor.radius
+    around, inner = points[:, :2] - rotor.centre[:2], np.hypot(*(origin - rotor.centre)[:2])
+    far = np.hypot(*around.T)
+    if not part.path.startswith(f"{rotor.spin}/") or inner > 0.15 * reach or far.max(initial=0.0) < 0.8 * reach:
+        return []
+    tip = points[far > 0.98 * far.max()].mean(axis=0) - origin
+    long = float(np.hypot(*tip[:2]))
+    out = np.array([tip[0], tip[1], 0.0]) / max(long, 1e-9)
+    side = np.cross(out, AXES[2])
+    turned = part.T_rp[:3, :3].T @ side
+    k = int(np.argmax(np.abs(turned)))
+    if (around @ out[:2]).mean() < 0.2 * reach or abs(turned[k]) < 0.98:
+        return []
+    chord = float(np.ptp(points @ side))
+    return [Blade(part.path, "XYZ"[k], bool(turned[k] < 0), chord, float(np.arctan2(tip[2], long)))]
 
 
 def _channel(name: str, one: Round, steer: bool = False, aim: Array = AXES[1]) -> str:

@@ -11,8 +11,8 @@ HITCH_PITCH, HITCH_ROLL = "hitch_pitch", "hitch_roll"
 """Prefixes of channels that tilt a trailer on its hitch, so that its wheels follow the ground."""
 DISC_PITCH, DISC_ROLL = "disc_pitch", "disc_roll"
 """Channels that tilt a rotor's disc with its thrust: forward, then to the right."""
-CONING = "coning_"
-"""Prefix of channels that raise the blades of a rotor above their pose at rest, one per blade."""
+CONING = "coning"
+"""Channel that raises the blades of a rotor above their pose at rest."""
 
 
 @dataclass(frozen=True)

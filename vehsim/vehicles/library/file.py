@@ -100,8 +100,8 @@ class ActuatorTable(Table):
 class ChannelTable(Table):
     """``[channels.NAME]``"""
 
-    prim: Text
-    """a path below the rig root"""
+    prim: Text | Annotated[list[Text], Len(1)]
+    """a path below the rig root, or a list of them, which all move alike"""
     op: Op
     """"rotateX", "rotateY", "rotateZ", "translateX", "translateY" or "translateZ\""""
     pivot: Annotated[Any, AfterValidator(_pivot)] = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -19,7 +20,7 @@ from vehsim.assets import described, description
 from vehsim.errors import InputError
 from vehsim.intake.tables import suggestion
 from vehsim.intake.toml import lines_in
-from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, HITCH_PITCH, HITCH_ROLL, Drive, Rig, Suspension
+from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, HITCH_PITCH, HITCH_ROLL, Channel, Drive, Rig, Suspension
 from vehsim.runtime.cache import Stamp, stamp
 from vehsim.runtime.registry import Registry
 from vehsim.vehicles.definition.base import Control
@@ -71,6 +72,8 @@ ADDED_MASS = np.array([0.25, 0.9, 0.5, 0.06, 0.6, 1.0])
 """Usual added mass of a hull divided by its own inertia: roll, pitch, yaw, surge, sway, heave."""
 IMPACT = 1.0
 """Usual pressure where a hull meets the water, over its dynamic pressure."""
+NUMBERED = re.compile(r"_[1-9][0-9]*$")
+"""The end of the name of a channel that moves one of several prims."""
 SHORT: Any = {"float": "{:.3g}".format}
 """How messages give numbers."""
 
@@ -181,11 +184,14 @@ def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
             key="physics",
             file=path,
         ) from error
+    tables = _one_prim_each(data.get("channels", {}))
+    channels = _channels(path, vehicle, tables)
     settings: dict[str, Any] = {
         "controls": _controls(path, vehicle, data.get("controls", {}), data.get("actuators", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
         "character": _character(path, vehicle, data.get("character", {})),
-        "rig": _rig(path, vehicle, data),
+        "channels": channels,
+        "rig": _rig(path, channels, tables, data),
         **{key: float(data.get(key, getattr(vehicle, key))) for key in TOPS},
         "parameters": given,
     }
@@ -331,19 +337,36 @@ def _with_usual_damping(path: Path, factory: Any, data: dict[str, Any], physics:
     return {**physics, **used}
 
 
-def _rig(path: Path, vehicle: Vehicle, data: dict[str, Any]) -> Rig | None:
+def _one_prim_each(tables: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """``[channels.NAME]`` with a channel for every prim: of several prims, NAME_1, NAME_2 and so on."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, table in tables.items():
+        several = isinstance(table["prim"], list)
+        each = {f"{name}_{k}": prim for k, prim in enumerate(table["prim"], 1)} if several else {name: table["prim"]}
+        found |= {key: {**table, "prim": prim} for key, prim in each.items()}
+    return found
+
+
+def _channels(path: Path, vehicle: Vehicle, tables: Mapping[str, Any]) -> dict[str, Channel]:
+    """The model's channels; one that moves several prims is there for each of them, with a number after its name."""
+    own = dict(vehicle.channels)
+    numbered = {name: name.rpartition("_")[0] for name in tables if name not in own and NUMBERED.search(name)}
+    _known(path, "channels.", {numbered.get(name, name): None for name in tables}, set(own))
+    several = {name: own[whole] for name, whole in numbered.items()}
+    return {name: channel for name, channel in own.items() if name not in numbered.values()} | several
+
+
+def _rig(path: Path, channels: Mapping[str, Channel], tables: Mapping[str, Any], data: dict[str, Any]) -> Rig | None:
     if "asset" not in data:
         return None
     asset, source = ready_asset(path, data)
     origin = tuple(float(x) for x in data.get("origin", (0.0, 0.0, 0.0)))
-    channels = data.get("channels", {})
-    _known(path, "channels.", channels, set(vehicle.channels))
-    drives = {name: _drive(values) for name, values in channels.items()}
+    drives = {name: _drive(values) for name, values in tables.items()}
 
     def place(item: tuple[str, Drive]) -> tuple[bool, bool, int]:  # order: slide, steer, pitch, roll, spin
         name, drive = item
         tilt = 1 * name.startswith((HITCH_PITCH, DISC_PITCH)) + 2 * name.startswith((HITCH_ROLL, DISC_ROLL))
-        return drive.op.startswith("rotate"), vehicle.channels[name].rate is not None, tilt
+        return drive.op.startswith("rotate"), channels[name].rate is not None, tilt
 
     drives = dict(sorted(drives.items(), key=place))
     springs = Suspension(**{name: float(value) for name, value in data.get("suspension", {}).items()})

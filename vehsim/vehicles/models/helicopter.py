@@ -36,8 +36,6 @@ from vehsim.vehicles.definition.quantities import (
 )
 from vehsim.vehicles.models.rotor import Rotor
 
-MOST_BLADES = 5
-"""Channels for coning blades: no light helicopter has more."""
 HEADING_HOLD = 10.0
 """Weight of the squared yaw rate, in s: our choice, with which a cruise of 5 m/s deviates by less than a degree."""
 
@@ -84,7 +82,7 @@ def helicopter(
     ``rotor_radius``, the torque of the main rotor, which turns counter-clockwise seen from above, acts on the fuselage;
     with a ``tail_radius``, the tail rotor needs power too. ``solidity``, ``tail_solidity``, ``profile_drag``,
     ``induced_factor``: see `Rotor`. ``lock_number``: lift of a blade over its inertia, ``rho a c R^4 / I``; with it,
-    blades cone with the thrust, on channels that start at ``blades_up`` rad, the coning of the asset at rest.
+    blades cone with the thrust, on a channel that starts at ``blades_up`` rad, the coning of the asset at rest.
     Against the air: ``drag_linear`` N s/m and ``drag_quadratic`` N s^2/m^2 per body axis, ``drag_angular`` N m s;
     ``fuselage_moments`` m^3, moments over dynamic pressure: nose-up at zero incidence, nose-up per angle of attack, and
     nose-right per sideslip to the right. Stabiliser and fin: area times lift slope, m^2; distance behind the centre of
@@ -178,7 +176,7 @@ def helicopter(
             # the disc stands across the thrust: `direction` is R_y(pitch) R_x(roll) e_z on an upright mast
             DISC_PITCH: Channel(value=lambda t, r, u, xi, c: c[2]),
             DISC_ROLL: Channel(value=lambda t, r, u, xi, c: c[3]),
-            **{f"{CONING}{k + 1}": Channel(value=lambda t, r, u, xi, c: coning(c[0])) for k in range(MOST_BLADES)},
+            CONING: Channel(value=lambda t, r, u, xi, c: coning(c[0])),
             "main_rotor": Channel(rate=lambda t, r, u, xi, c: main_rotor_speed),
             "tail_rotor": Channel(rate=lambda t, r, u, xi, c: tail_rotor_speed),
         },
