@@ -155,8 +155,6 @@ def _box(world: Any, places: Array | None) -> Array:
 
 
 def _below(group: Any, world: Any, box: Array, places: Array | None) -> Below:
-    from scipy.ndimage import median_filter
-
     from vehsim.world.ground.touchdown import height_below
 
     if not np.ptp(box, axis=0).all():
@@ -175,18 +173,28 @@ def _below(group: Any, world: Any, box: Array, places: Array | None) -> Below:
     heights = np.where(known, heights, heights[known].min(initial=np.inf) - NOTHING) if known.any() else heights
     if np.ptp(heights) < LEVEL:
         return Below(group, None, float(heights[0, 0]))
-    reach = [np.arange(-(n := int(DISC * parts[k] / spacing[k])), n + 1) * spacing[k] / parts[k] for k in range(2)]
-    disc = np.add.outer(reach[0] ** 2, reach[1] ** 2) <= DISC**2
-    heights = median_filter(heights, footprint=disc, mode="nearest")[:: parts[0], :: parts[1]]
+    heights = _of_half_a_disc(heights, spacing / parts, parts)
     # as coefficients, heights become a smooth spline that never exceeds them, unlike one through them
     base = float(heights.mean())
     return Below(group, Relief(box[0], spacing, np.pad(heights - base, 1, mode="edge"), base))
 
 
+def _of_half_a_disc(heights: Array, spacing: Array, every: NDArray[np.int64]) -> Array:
+    """The medians of ``heights`` (n, m) m, sampled with a ``spacing`` (2,) m, over a disc about ``every`` (2,) one."""
+    reach = [np.arange(-(n := int(DISC / spacing[k])), n + 1) for k in range(2)]
+    disc = np.add.outer((reach[0] * spacing[0]) ** 2, (reach[1] * spacing[1]) ** 2) <= DISC**2
+    across = [reach[k][place] for k, place in enumerate(np.nonzero(disc))]
+    centres = [np.arange(0, heights.shape[k], every[k]) for k in range(2)]
+    rows, columns = (
+        np.clip(np.add.outer(centres[k], across[k]), 0, heights.shape[k] - 1) for k in range(2)
+    )  # beyond the borders, the heights of the borders
+    return np.asarray(np.median(heights[rows[:, None], columns[None]], axis=2))
+
+
 def _levels(world: Any, xy: Array, places: Array | None) -> Array:
     """Heights (n,) m from which the ground is looked for at ``xy`` (n, 2) m: that of the closest place."""
-    from scipy.spatial import cKDTree
-
     if places is None:
         return np.full(len(xy), HIGH)
+    from scipy.spatial import cKDTree
+
     return np.asarray(places[cKDTree(places[:, :2]).query(xy)[1], 2])

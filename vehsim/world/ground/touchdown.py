@@ -77,9 +77,11 @@ def feet(vehicle: Any, count: int = 6) -> Array:
 
 def height_below(world: World, points: Array) -> Array:
     """Height (n,) m of the terrain or standing obstacle below points (n, 3) m, or of the one that contains them."""
-    from scipy.spatial import ConvexHull
-
     found = np.full(len(points), -np.inf) if world.terrain is None else world.terrain.height_below(points)
+    if not world.standing:
+        return np.asarray(found)
+    from scipy.spatial import ConvexHull  # it takes a third of a second to load
+
     for hull in (hull for obstacle in world.standing for hull in obstacle.hulls):
         planes = ConvexHull(hull).equations
         reach = -(points[:, :2] @ planes[:, :2].T + planes[:, 3])  # n_z z stays below it
