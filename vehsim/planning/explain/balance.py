@@ -35,10 +35,11 @@ def out_of_balance(
     """Marks at which ``vehicle`` should stand still and cannot, with message and remedy.
 
     ``transcription``: that of the vehicle with the force of gravity on slopes. Without wind and slope nothing is
-    checked.
+    checked: the ground below rotors only makes it easier to hover.
     """
     windy = bool(np.any(wind)) and vehicle.feels_wind
-    if not windy and transcription.vehicle is vehicle:
+    sloping = vehicle.group.planar and transcription.vehicle is not vehicle
+    if not (windy or sloping):
         return []
     found = []
     for i, mark in enumerate(marks):
