@@ -23,6 +23,7 @@ from vehsim.planning.request.request import Request
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.terms import Cost, cost_weights
 from vehsim.requests.mark_frame import FREE
+from vehsim.world.ground.below import aloft
 from vehsim.world.world import World
 
 Array = NDArray[np.float64]
@@ -91,7 +92,7 @@ def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | N
 
 def _first(quick: Request, request: Request, least: int, paths: list[Array]) -> tuple[int, bool] | None:
     """The first frame, and whether it is the first, along these paths."""
-    choices = [quick.marks]
+    choices, transcription = [quick.marks], transcribe(aloft(request.weighed))  # the ground below rotors costs no time
     if request.weights["course"]:
         choices.insert(0, facing(quick.marks, paths, quick.aimed))
     for marks in choices:
@@ -99,7 +100,7 @@ def _first(quick: Request, request: Request, least: int, paths: list[Array]) -> 
         for times in FINER:
             finer = replace(quick, marks=marks, segments=times * quick.segments + 1)
             run = Run(replace(quick, deadline=math.inf))
-            iterate = _quickest(run, finer, transcribe(request.weighed), paths, stretches)
+            iterate = _quickest(run, finer, transcription, paths, stretches)
             if iterate is None:
                 break
             taken = float(iterate.seconds()[-1] - iterate.seconds()[0])
