@@ -93,12 +93,11 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
 def _let_panes_through(materials: Iterable[Any]) -> None:
     """Make what is translucent so by its alpha: Blender 5.3 imports opacity as transmission through a solid, in which
     the single faces of windscreens are black."""
-    for material in materials:
-        for node in material.node_tree.nodes if material.use_nodes else ():
-            if node.type == "BSDF_PRINCIPLED" and not node.inputs["Transmission Weight"].is_linked:
-                through, alpha = node.inputs["Transmission Weight"], node.inputs["Alpha"]
-                if through.default_value > 0 and not alpha.is_linked:
-                    alpha.default_value, through.default_value = 1 - through.default_value, 0.0
+    trees = [material.node_tree for material in materials if material.use_nodes]
+    for node in (node for tree in trees for node in tree.nodes if node.type == "BSDF_PRINCIPLED"):
+        through, alpha = node.inputs["Transmission Weight"], node.inputs["Alpha"]
+        if through.default_value > 0 and not (through.is_linked or alpha.is_linked):
+            alpha.default_value, through.default_value = 1 - through.default_value, 0.0
 
 
 def _show_display_colours(meshes: Iterable[Any]) -> None:

@@ -283,19 +283,28 @@ def test_a_layer_over_a_blender_asset_moves_in_blender(tmp_path, toys, make_take
     assert np.linalg.norm(last - first) > 5
 
 
-@needs_blender
-def test_meshes_without_a_material_show_their_display_colour(tmp_path):
-    from pxr import Gf, Usd, UsdGeom, UsdShade
+def stage_of_faces(path, *names):
+    """A new stage with a triangle of each name, and their meshes."""
+    from pxr import Usd, UsdGeom
 
-    stage = Usd.Stage.CreateNew(str(tmp_path / "bare.usda"))
+    stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/toy").GetPrim())
-    for name in ("bare", "dressed"):
-        face = UsdGeom.Mesh.Define(stage, f"/toy/{name}")
+    faces = [UsdGeom.Mesh.Define(stage, f"/toy/{name}") for name in names]
+    for face in faces:
         face.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
         face.CreateFaceVertexCountsAttr([3])
         face.CreateFaceVertexIndicesAttr([0, 1, 2])
+    return stage, faces
+
+
+@needs_blender
+def test_meshes_without_a_material_show_their_display_colour(tmp_path):
+    from pxr import Gf, UsdShade
+
+    stage, faces = stage_of_faces(tmp_path / "bare.usda", "bare", "dressed")
+    for face in faces:
         face.CreateDisplayColorAttr([Gf.Vec3f(0.8, 0.1, 0.1)])
     paint = UsdShade.Material.Define(stage, "/toy/paint")
     shader = UsdShade.Shader.Define(stage, "/toy/paint/shader")
@@ -315,16 +324,9 @@ for mesh in bpy.data.meshes:
 @needs_blender
 def test_one_sees_through_panes(tmp_path):
     """Blender 5.3 imports opacity as transmission through a solid: windscreens, which are single faces, were black."""
-    from pxr import Sdf, Usd, UsdGeom, UsdShade
+    from pxr import Sdf, UsdShade
 
-    stage = Usd.Stage.CreateNew(str(tmp_path / "pane.usda"))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/toy").GetPrim())
-    face = UsdGeom.Mesh.Define(stage, "/toy/pane")
-    face.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
-    face.CreateFaceVertexCountsAttr([3])
-    face.CreateFaceVertexIndicesAttr([0, 1, 2])
+    stage, (face,) = stage_of_faces(tmp_path / "pane.usda", "pane")
     glass = UsdShade.Material.Define(stage, "/toy/glass")
     shader = UsdShade.Shader.Define(stage, "/toy/glass/shader")
     shader.CreateIdAttr("UsdPreviewSurface")

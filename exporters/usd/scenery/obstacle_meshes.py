@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-
 CREASE = np.radians(30.0)
 """Angle between faces up to which their common edge is shaded smooth, rad."""
 MOST = 4_000_000
