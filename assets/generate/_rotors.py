@@ -135,13 +135,13 @@ def tail_rotor() -> dict[str, Surface]:
 
 
 def rotor_hulls(look: dict[str, Surface]) -> dict[str, Surface]:
-    """Hulls of the main rotor at every angle: the disc of its blades, coned by 2.6 to 4.0 degrees, as at 0.8 to 1.25 g,
-    and the shaft with its links below it."""
+    """Hulls of the main rotor at every angle: the disc of its blades, coned by 0 to 5.53 degrees, as without load and
+    at 1.77 g, the most that it gives, and the shaft with its links below it."""
     everything = join(*look.values())
     low = everything.faces[(everything.points[everything.faces][:, :, 2] < -0.1).any(1)]
     turns = [about_z(turn) for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
     shaft = np.concatenate([everything.points[np.unique(low)] @ turn.T for turn in turns])
-    base, top, tip = 0.22, 0.395, RADIUS + 0.008
+    base, top, tip = -0.02, 0.535, RADIUS + 0.012
     disc = [(0.75, -0.1), (tip, base), (tip, top), (0.2, top)]
     return {"disc": _swept(disc, 32, "z"), "shaft": outer_hull(shaft * [1.01, 1.01, 1.0], 25.0)}
 

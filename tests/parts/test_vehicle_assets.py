@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pytest
@@ -49,8 +50,8 @@ TRIANGLES = (8000, 33000)
 """Minimum and maximum number of triangles of a vehicle's look."""
 CARRIED = ("main_rotor/blade_",)
 """Parts without hulls of their own, which those of the part that carries them contain."""
-CONED = (2.6, 4.0)
-"""Coning of the blades that the hull of the disc contains, degrees."""
+CONED = (0.0, 5.53)
+"""Coning of the blades without load and at the most that the rotor gives, degrees."""
 STEERED = {"car": {"steer_fl": 40, "steer_fr": 40}, "truck": {"steer_fl": 40, "steer_fr": 40}, "boat": {"outboard": 30}}
 """Part -> degrees to either side: hulls do not move, so they contain steered parts at every angle."""
 LOWEST = {"boat": -0.8401, "tumbler": -0.0221, "hopper": -0.9}
@@ -96,10 +97,13 @@ def coned(degrees: float) -> list[Part]:
 
 
 def steered(name: str) -> np.ndarray:
-    """The points (n, 3) of the steered parts, at full lock to either side, and of coned blades, in the root's frame."""
+    """The points (n, 3) of the steered parts, at full lock to either side, and of coned blades, in the root's frame,
+    also halfway between each other."""
     points = [np.zeros((0, 3))]
     if name == "helicopter":
-        points += [in_root(p) for degrees in CONED for p in coned(degrees)]
+        hub, between = part(name, "main_rotor").T_rp[:3, 3], rotation(2, math.pi / 3)
+        blades = np.concatenate([in_root(p) for degrees in CONED for p in coned(degrees)])
+        points += [blades, (blades - hub) @ between.T + hub]
     for path, limit in STEERED.get(name, {}).items():
         pivot = part(name, path).T_rp[:3, 3]
         riding = [in_root(p) for p in read_parts(asset(name)) if f"{p.path}/".startswith(f"{path}/")]
@@ -234,10 +238,21 @@ def test_hulls_are_at_most_a_hands_width_too_large(name):
 def test_rotor_disc_holds_the_blades_at_every_angle_and_coning(path, axis):
     rotor = part("helicopter", path)
     shapes = [rotor.points]
-    for degrees in np.linspace(*CONED, 5) if path == "main_rotor" else ():
+    for degrees in np.linspace(*CONED, 9) if path == "main_rotor" else ():
         shapes += [p.points @ p.T_pr[:3, :3].T + p.T_pr[:3, 3] for p in coned(degrees)]
     for angle in np.linspace(0, 2 * np.pi, 17):
         assert outside(np.concatenate(shapes) @ rotation(axis, angle).T, list(rotor.hulls)).max() < 1e-6
+
+
+def test_no_thrust_of_the_helicopter_cones_its_blades_further_than_their_hull():
+    """Whatever its character: stunts have the whole range of the collective."""
+    heli = vehsim.load_vehicle("helicopter")
+    (collective,) = (control for control in heli.controls if control.name == "collective")
+    c = ca.SX.sym("c", 4)
+    law = ca.Function("law", [c], [heli.channels["coning_1"].value(0, c, c, c, c) + physics("helicopter")["blades_up"]])
+    thrusts = np.linspace(collective.lower, collective.upper, 9)
+    coned = np.degrees([float(law([thrust, 0, 0, 0])) for thrust in thrusts])
+    assert coned.min() == pytest.approx(CONED[0], abs=1e-6) and coned.max() == pytest.approx(CONED[1], abs=5e-3)
 
 
 @pytest.mark.parametrize(
