@@ -23,6 +23,7 @@ from vehsim.planning.problem.solver import LOOSEN, Solution, Solver
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.refine import largest_error, refine, to_requested_segments
 from vehsim.planning.request.character import NO_TRAITS
+from vehsim.planning.request.marks import Mark
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import Trajectory
 
@@ -115,14 +116,17 @@ def _with_more_time(run: Run, failed: Iterate) -> Why:
     """Later frames of all marks with which a motion was found; empty if none was. For motion that no relaxed problem
     shows to be too early, such as a slide."""
     marks = failed.request.marks
-    given = {i: int(mark.frame) for i, mark in enumerate(marks) if i and mark.given_frame is not None}
-    if not given or any(mark.hold for mark in marks) or any(term.frames is not None for term in failed.request.terms):
+    given = {i: int(mark.frame) for i, mark in enumerate(marks) if not i or mark.given_frame is not None}
+    if len(given) == 1 or any(term.frames is not None for term in failed.request.terms):
         return Why()
-    first = int(marks[0].frame)
     for share in MORE_TIME:
-        later = {i: math.ceil(frame + share * (frame - first)) for i, frame in given.items()}
+        moved = dict[int, int]()
+        for i, frame in given.items():  # a mark with a hold is two, which stay as far apart
+            held = i - 1 in given and marks[i - 1].hold
+            moved[i] = moved[i - 1] + frame - given[i - 1] if held else math.ceil(frame + share * (frame - given[0]))
+        later = {i: frame for i, frame in moved.items() if frame != given[i]}
         if not run.deadline.late and _is_met(run, failed, later):
-            at = {marks[i].name: frame for i, frame in later.items()}
+            at = _by_name(marks, later)
             frames = [f"{name}.frame = {frame}" for name, frame in at.items()]
             return Why(f"a motion was found with {frames[0]}{_then(frames[1:])}", at)
     return Why()
@@ -225,11 +229,17 @@ def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> Why:
     for margin in SLACKS:
         later = {k: math.ceil(frame + margin * (frame - first) - 1e-3) for k, frame in frames.items()}
         if not run.deadline.late and _is_met(run, guess, later):
-            at = dict[str, int]()
-            for k, frame in later.items():  # a mark with a hold is two
-                at.setdefault(marks[k].name, frame)
+            at = _by_name(marks, later)
             return Why(f"{early}; earliest {later[i]}{_then([f'{name}.frame = {at[name]}' for name in at][1:])}", at)
     return Why(f"{early}; it takes until {frames[i]} at least")
+
+
+def _by_name(marks: Sequence[Mark], frames: dict[int, int]) -> dict[str, int]:
+    """Frames of ``marks`` by their names; a mark with a hold is two of the same name, of which the first counts."""
+    at = dict[str, int]()
+    for i, frame in frames.items():
+        at.setdefault(marks[i].name, frame)
+    return at
 
 
 def _then(others: Sequence[str]) -> str:
