@@ -55,7 +55,7 @@ class Collocation(Transcription):
         middle = ca.SX.sym("middle", v["x"].shape[0])
         at, defect = self.rule(slope, v["x"], v["x1"], v["h"], middle)
         y = ca.vertcat(*v.values())
-        return Element("dynamics", y, {"wind": wind}, g=defect, inner=None if at is None else (middle, at))
+        return Element("dynamics", y, {"wind": wind}, g=defect, inner=[] if at is None else [(middle, at)])
 
     @property
     def _flow(self) -> ca.Function:

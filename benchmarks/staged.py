@@ -119,8 +119,7 @@ class Staged:
             y = ca.reshape(_at(whole, variables.T.ravel()), n, count)
             given = ca.reshape(_at(p, use.parameters.T.ravel()), *use.parameters.shape)
             given = ca.vertcat(given, ca.DM(use.constants)) if len(use.constants) else given
-            inner = [] if element.inner is None else [use.mapped(element.inners)(y, given)]
-            arguments = (y, ca.vertcat(given, *inner))
+            arguments = (y, given)
             cost, values = use.mapped(element.value)(*arguments)
             if not element.f.is_zero():
                 f += ca.sum2(cost)
@@ -209,4 +208,4 @@ def _curvature(use: Use) -> tuple[ca.Function, Indices, Indices]:
     entries = hessian.nz[:] if hessian.nnz() else ca.SX(0, 1)
     results = ca.cse([ca.densify(gradient), ca.reshape(entries, hessian.nnz(), 1)])
     i, j = (np.asarray(part, np.intp) for part in hessian.sparsity().get_triplet())
-    return ca.Function("curvature", [element.y, element.p, lam_f, lam_g], results), i, j
+    return element.function("curvature", results, lam_f, lam_g), i, j

@@ -365,12 +365,13 @@ def test_elements_agree_with_whole_problem_derivatives(helicopter):
 def test_derivatives_through_inner_expressions_are_those_of_the_whole():
     from vehsim.planning.problem.elements import Element
 
-    y, p, m = ca.SX.sym("y", 3), ca.SX.sym("p", 2), ca.SX.sym("m", 2)
-    inner = ca.vertcat(y[0] * y[1] ** 2 + p[1], ca.sin(y[2]) * y[0])
-    g, f = ca.vertcat(m[0] * m[1] * y[2], ca.exp(m[0]) + y[1] * m[1], y[0]), y[0] ** 2
+    y, p, m, last = ca.SX.sym("y", 3), ca.SX.sym("p", 2), ca.SX.sym("m", 2), ca.SX.sym("last")
+    inner, later = ca.vertcat(y[0] * y[1] ** 2 + p[1], ca.sin(y[2]) * y[0]), m[0] ** 2 * y[1] + m[1] * p[0]
+    g, f = ca.vertcat(m[0] * m[1] * y[2], ca.exp(m[0]) + last * m[1], y[0] * last**2), y[0] ** 2
+    plain = ca.substitute(ca.substitute(g, last, later), m, inner)
     elements = (
-        Element("a", y, {"p": p}, f=f, g=g, inner=(m, inner)),
-        Element("b", y, {"p": p}, f=f, g=ca.substitute(g, m, inner)),
+        Element("a", y, {"p": p}, f=f, g=g, inner=[(m, inner), (last, later)]),
+        Element("b", y, {"p": p}, f=f, g=plain),
     )
     made = []
     for element in elements:

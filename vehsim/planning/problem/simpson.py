@@ -50,9 +50,11 @@ def simpson(transcription: Transcription) -> Element:
     next_g, next_r = (
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
     )
-    missed = next_g - g1
+    missed, inner = next_g - g1, [(pose, ca.vertcat(gm, rm))]
     if t.vehicle.group.size > t.vehicle.group.dim:
-        missed[0:4] = _unturned(g[0:4], g1[0:4], _rotation(xi[0:3], xim[0:3], xi1[0:3], h))
+        turn = ca.SX.sym("turn", 3)
+        inner.append((turn, _rotation(xi[0:3], xim[0:3], xi1[0:3], h)))
+        missed[0:4] = _unturned(g[0:4], g1[0:4], turn)
     at_middle = pim - (pi + pi1) / 2 - h / 8 * (push - push1)
     at_end = pi1 - pi - h / 6 * (push + 4 * pushm + push1)
     residuals = (at_middle / t.momentum_scale, at_end / t.momentum_scale, missed, next_r - r1)
@@ -63,7 +65,7 @@ def simpson(transcription: Transcription) -> Element:
         space = SpatialField(places, models, lambda count, order: ground.cells(count))
     return Element(
         "dynamics", ca.vertcat(*v.values()), t.air, g=ca.vertcat(*residuals), space=space,
-        inner=(pose, ca.vertcat(gm, rm)),
+        inner=inner,
     )  # fmt: skip
 
 
