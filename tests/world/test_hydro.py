@@ -13,7 +13,7 @@ from pathlib import Path
 import hulls
 import numpy as np
 import pytest
-from hulls import FORMS, floating
+from hulls import FORMS, floating, sphere
 from test_wave_response import surface
 
 import vehsim
@@ -365,6 +365,17 @@ def test_panels_of_a_flat_bottom_do_not_fold(monkeypatch):
     under = wetted(np.column_stack([hull.points, -hull.points[:, 2]]), hull.faces)
     volume = -(normals[:, 2] * corners[:, :, 2].mean(axis=1)).sum()
     assert abs(volume) == pytest.approx(under.volume(np.array([0, 0, 1.0])), rel=0.02)
+
+
+def test_panels_lie_on_a_curved_hull():
+    """An ellipsoid. On the flat faces of a simpler surface, up to 1 % of its length away, its pitch was 14 % too small,
+    however fine the panels were."""
+    points, faces = sphere(1.0, 4)
+    size = np.array([6.5, 3.0, 2.0])
+    places, _ = panels(HullMesh(points * size / 2, faces, "ellipsoid"), 0.0)
+    off = np.linalg.norm(places * 2 / size, axis=1)[places[:, 2] < -1e-6] - 1
+    assert off.min() > -0.01 and off.max() < 0.01
+    assert len(places) > 350
 
 
 def test_a_peak_asks_for_more_frequencies():

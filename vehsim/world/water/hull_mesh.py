@@ -158,8 +158,12 @@ class HullMesh:
     @cached_property
     def bottom(self) -> NDArray[np.bool_]:
         """Whether each face (m,) belongs to the bottom; see `STEEP`."""
-        normals = _normals(self.points[self.faces])
-        return np.asarray(normals[:, 2] < -STEEP * np.linalg.norm(normals, axis=1))
+        return np.asarray(self.normals[:, 2] < -STEEP * np.linalg.norm(self.normals, axis=1))
+
+    @cached_property
+    def normals(self) -> Array:
+        """Outward normals (m, 3) of its faces, as long as their areas, m^2."""
+        return _normals(self.points[self.faces])
 
     def replaced(self, points: Array, faces: Faces) -> HullMesh:
         """A hull whose surface is known to be valid."""
