@@ -348,7 +348,7 @@ def _roll(
     """Simulate with known controls: the whole rollout in one call."""
     if progress:
         progress("simulate", 0.0)
-    clip = integrator.rollout(begin, knots, fps=fps, start_frame=start_frame)
+    clip = integrator.rollout(begin, knots, fps=fps, start_frame=start_frame, rests=True)
     if progress:
         progress("simulate", 1.0)
     return clip
@@ -364,10 +364,12 @@ def _fly(
     progress: Progress | None,
     memory: Mapping[str, Any] | None,
 ) -> tuple[Clip, Mapping[str, Any]]:
-    """Simulate with controls that depend on the state: evaluate them at each knot's predicted state, then step."""
+    """Simulate with controls that depend on the state: evaluate them at each knot's predicted state, then step. A
+    vehicle that has come to rest stays as it is until they change."""
     from vehsim.integrators.carried import carried, carry_on
     from vehsim.integrators.guards import warn_of_stiff_damping
     from vehsim.integrators.phase import packed, unpacked
+    from vehsim.integrators.phase_integrator import BLOCK, constant
     from vehsim.integrators.record import build_clip
     from vehsim.vehicles.definition.states import control_vector
 
@@ -390,7 +392,9 @@ def _fly(
     phase = integrator.start(begin, c)
     phases: list[Phase] = [phase]
     controls = [c]
+    held: Array | None = None
     if memory is not None:
+        held = memory["held"]
         phases = [unpacked(integrator.mechanics, x) for x in memory["phases"]]
         controls, asked = list(memory["controls"]), list(memory["asked"])
         for t, state in asked[1:]:
@@ -399,12 +403,16 @@ def _fly(
         phase, c = phases[-1], controls[-1]
     for k in range(len(phases) - 1, steps):
         guess = 2 * controls[-1] - controls[-2] if k else c
-        predicted = integrator.advance(phase, c, guess, k)
+        held = held if constant(guess, held) else None
+        predicted = integrator.advance(phase, c, guess, k) if held is None else phase
         after = controls_at(k + 1, integrator.state(predicted, guess, anchor))
-        phase = integrator.advance(replace(phase, z=predicted.z), c, after, k)
+        held = held if constant(after, held) else None
+        phase = integrator.advance(replace(phase, z=predicted.z), c, after, k) if held is None else phase
         c = after
         phases.append(phase)
         controls.append(c)
+        if held is None and len(phases) % BLOCK == 0:
+            held = integrator.held(np.array([packed(p) for p in phases[-BLOCK:]]), np.array(controls[-BLOCK:]))
         if progress and k % 50 == 0:
             progress("simulate", k / steps)
     if progress:
@@ -416,7 +424,7 @@ def _fly(
     clip = build_clip(
         integrator.mechanics, times, g, r, pi, rows, anchor, wind=integrator.wind, fps=fps, start_frame=start_frame
     )
-    left = {"phases": np.array([packed(p) for p in phases]), "controls": rows}
+    left = {"phases": np.array([packed(p) for p in phases]), "controls": rows, "held": held}
     return clip, {**left, "asked": tuple(asked), "law": carried(pilot)}
 
 

@@ -607,3 +607,36 @@ def test_a_vehicle_in_the_plane_is_refused_among_things_that_it_would_drive_thro
         simulate_together({"car": Mover(car), "other": Mover(vehsim.load_vehicle("helicopter"))}, world, 0.5)
     assert len(vehsim.simulate(car, World(contact=Contact()), duration=0.5)) > 1
     assert len(vehsim.simulate(car, World(obstacles=[wall]), duration=0.5)) > 1
+
+
+def test_the_other_end_of_a_hull_in_contact_lands_in_small_steps(tmp_path):
+    """A plank that stands on one end falls over: its other end, which closes at 2 m/s, gains no energy."""
+    long = tmp_path / "plank.usda"
+    slab(long, (5.0, 0.6, 0.1))
+    mass = 100.0
+    inertia = [mass * 0.37 / 12, mass * 25.01 / 12, mass * 25.36 / 12, mass, mass, mass]
+    plank = Holonomic(name="plank", group=SO3xR3, inertia=inertia, gravity=9.81, rig=Rig(long, ""))
+    ground = Terrain("flat", np.zeros((5, 5)), (-40.0, -40.0), (20.0, 20.0))
+    lean = 0.15
+    start = State(position=(0, 0, 2.5 * np.sin(lean) + 0.06), orientation=(np.cos(lean / 2), 0, -np.sin(lean / 2), 0))
+    clip = vehsim.simulate(plank, World(ground, contact=Contact(0.4, 0.3, 20.0)), None, start, duration=3.0)
+    energy = clip.energy["kinetic"] + clip.energy["potential"]
+    assert clip.twists[:, 1].max() > 0.6  # the other end closed at more than 3 m/s
+    assert np.maximum.accumulate(energy[::-1])[::-1][60:].max() <= energy[0]
+    ends = np.array([[x, y, -0.05] for x in (-2.5, 2.5) for y in (-0.3, 0.3)])
+    lowest = min((ends @ m[:3, :3].T + m[:3, 3])[:, 2].min() for m in clip.matrices())
+    assert lowest > -DEPTH
+    assert clip.positions[:, 2].max() < start.position[2] + 0.01
+
+
+def test_a_boat_that_rocks_on_its_keel_takes_steps_of_a_240th_of_a_second():
+    """Neither its springs nor its dampers, those along the ground included, need shorter ones."""
+    ground = Terrain("flat", np.zeros((5, 5)), (-40.0, -40.0), (20.0, 20.0))
+    boat = vehsim.load_vehicle("boat")
+    scene = ContactScene({"boat": boat}, World(ground, contact=Contact()), Contact())
+    points = np.concatenate(collision_hulls(boat.rig.asset, boat.rig.root or None))
+    for tilt in (-0.05, 0.0, 0.05):
+        q = np.array([np.cos(tilt / 2), np.sin(tilt / 2), 0.02, 0])
+        height = -from_body(q, points)[:, 2].min() - 5e-4
+        scene.wrenches(0.0, [State(position=(0, 0, height), orientation=q, twist=(0.02, 0.05, 0, 0, 0, 0))])
+        assert scene.settled == [False] and scene.next_step > 1 / 240

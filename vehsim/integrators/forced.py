@@ -122,20 +122,20 @@ class Forced:
         self.phase = integrator.advance(kicked, self.controls, np.asarray(controls, float), self.steps)
         self.controls = np.asarray(controls, float)
         self.time, self.steps = self.time + h, self.steps + 1
-        self.state = self._public(self._kicked(self.phase), self.controls)
+        self.state = self.integrator.state(self._kicked(self.phase), self.controls, self.anchor)
         return self.state
 
     def predict(self, controls: Array) -> State:
         """Predict the public state after a step to ``controls`` (c,), without making the step."""
         integrator = self.integrator
         after = integrator.advance(self._kicked(self.phase), self.controls, np.asarray(controls, float), self.steps)
-        return self._public(self._kicked(after), np.asarray(controls, float))
+        return self.integrator.state(self._kicked(after), np.asarray(controls, float), self.anchor)
 
     def push(self, wrench: Array, added: Array | None = None) -> None:
         """Apply the impulse at the end of the step, of a wrench (d,) and an added mass (d, d)."""
         self._set_wrench(wrench, added)
         self.phase = self._kicked(self.phase)
-        self.state = self._public(self.phase, self.controls)
+        self.state = self.integrator.state(self.phase, self.controls, self.anchor)
 
     def start_with(self, wrench: Array, added: Array | None = None) -> None:
         """Start with this wrench (d,) instead of the environment's own."""
@@ -158,7 +158,7 @@ class Forced:
     def stop(self) -> None:
         """Take away the momentum: the body stands still."""
         self.phase = replace(self.phase, pi=np.zeros_like(self.phase.pi))
-        self.state = self._public(self.phase, self.controls)
+        self.state = self.integrator.state(self.phase, self.controls, self.anchor)
 
     def wait(self, seconds: float) -> None:
         """Let time pass without moving."""
@@ -167,11 +167,6 @@ class Forced:
     def _kicked(self, phase: Phase) -> Phase:
         (covector,) = self._call("wrench", lambda m: m.wrench_momentum)(phase.g, phase.r, self.wrench)
         return replace(phase, pi=phase.pi + self.integrator.step_size / 2 * covector)
-
-    def _public(self, phase: Phase, controls: Array) -> State:
-        """`Integrator.state`, fast."""
-        pose, twist, r, u = self._call("state", lambda m: m.root_state)(phase.g, phase.r, phase.pi, controls)
-        return State(position=pose[0:3] + self.anchor, orientation=pose[3:7], twist=twist, joints=r, joint_rates=u)
 
     def _call(self, name: str, build: Callable[[DiscreteMechanics], ca.Function]) -> Kernel:
         """A function of the integrator's current mechanics, which may change with its chart."""

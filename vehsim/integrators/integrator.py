@@ -96,8 +96,11 @@ class Integrator(PhaseIntegrator):
             )
         phase.pi = phase.pi + self.step_size / 2 * flat(self.mechanics.wrench_momentum(phase.g, phase.r, body))
 
-    def rollout(self, state: State, controls: Any, *, fps: Any = 24, start_frame: int = 1001) -> Clip:
-        """A clip of ``len(controls) - 1`` steps under knot controls (n, c), linear between knots."""
+    def rollout(
+        self, state: State, controls: Any, *, fps: Any = 24, start_frame: int = 1001, rests: bool = False
+    ) -> Clip:
+        """A clip of ``len(controls) - 1`` steps under knot controls (n, c), linear between knots. ``rests``: a vehicle
+        that has come to rest costs nothing until its controls change."""
         controls = np.atleast_2d(np.asarray(controls, float))
         if controls.shape[1:] != (len(self.vehicle.controls),) or not np.all(np.isfinite(controls)):
             names = ", ".join(self.vehicle.control_names) or "none"
@@ -105,7 +108,7 @@ class Integrator(PhaseIntegrator):
                 f"shape {controls.shape}", f"give (n, {len(self.vehicle.controls)}) finite: {names}", key="controls"
             )
         phase = self.start(state, controls[0])
-        x = self.history(packed(phase), controls)
+        x = self.history(packed(phase), controls, rests)
         warn_of_stiff_damping(self.mechanics, x, controls, self.step_size, self.wind)
         return self._clips(x[None], controls[None], self.anchor(state, phase)[None], fps, start_frame)[0]
 

@@ -23,9 +23,15 @@ from vehsim.vehicles.definition.states import flat, internal
 TOLERANCE = 1e-9
 """Largest accepted Newton residual, relative to the momentum."""
 
+REST = 1e-8
+"""Change of places, angles and velocities (SI units) in half a block of steps, at which what slows down is at rest; and
+of its controls, as a share of them."""
+GROWTH = 1.01
+"""Of these changes from half a block to the next: what leaves an unstable balance grows faster."""
+
 _RETRIES = 8
-_CHUNK = 1024
-"""Number of steps between checks of the residual."""
+BLOCK = 1024
+"""Number of steps between checks of the residual, and of rest."""
 
 
 class PhaseIntegrator:
@@ -78,7 +84,8 @@ class PhaseIntegrator:
 
     def state(self, phase: Phase, controls: Any, anchor: Any = (0.0, 0.0, 0.0)) -> State:
         """The public state of a phase. ``anchor`` (3,): the part of the position that the group does not contain."""
-        pose, twist, r, u = (flat(x) for x in self.mechanics.root_state(phase.g, phase.r, phase.pi, controls))
+        kernel = keep(self.mechanics, "root_state kernel", lambda: Kernel(self.mechanics.root_state))
+        pose, twist, r, u = kernel(phase.g, phase.r, phase.pi, controls)
         return State(position=pose[0:3] + anchor, orientation=pose[3:7], twist=twist, joints=r, joint_rates=u)
 
     def anchor(self, state: State, phase: Phase) -> Array:
@@ -164,14 +171,19 @@ class PhaseIntegrator:
         g, r, pi, _ = np.split(self.history(packed(phase), controls), np.cumsum(self.mechanics.sizes[:3]), axis=1)
         return g, r, pi
 
-    def history(self, start: Array, controls: Array) -> Array:
-        """Packed phases (n, .) at every knot of ``controls`` (n, c), without a Python loop."""
+    def history(self, start: Array, controls: Array, rests: bool = False) -> Array:
+        """Packed phases (n, .) at every knot of ``controls`` (n, c), without a Python loop. ``rests``: a vehicle that
+        has come to rest stays as it is, at no cost, until its controls change."""
         m, controls = self.mechanics, np.ascontiguousarray(controls)
         x, residual = np.empty((len(controls), len(start))), np.zeros((len(controls) - 1, 1))
         x[0] = start
-        for first in range(0, len(residual), _CHUNK):
-            steps = slice(first, first + _CHUNK)
-            block, knots, left = x[first : first + _CHUNK + 1], controls[first : first + _CHUNK + 1], residual[steps]
+        held: Array | None = None
+        for first in range(0, len(residual), BLOCK):
+            steps = slice(first, first + BLOCK)
+            block, knots, left = x[first : first + BLOCK + 1], controls[first : first + BLOCK + 1], residual[steps]
+            if constant(knots, held):
+                block[1:] = block[0]
+                continue
             for solve in SOLVES:
                 self.steps(solve)(block, knots, left)
                 if np.all(left <= FAST_TOLERANCE):
@@ -180,13 +192,28 @@ class PhaseIntegrator:
                 block[1:] = [packed(after) for after in self._loop(unpacked(m, block[0]), knots, first)]
             elif self.guarded:
                 check_constraints(m, joints_of(m, block), first)
+            held = self.held(block, knots) if rests else None
         check_mass(m, joints_of(m, x), self.compiled)
         return x
+
+    def held(self, block: Array, controls: Array) -> Array | None:
+        """The controls (c,) under which a vehicle has come to rest: during packed phases ``block`` (n, .) and
+        ``controls`` (n, c), both hardly change, and ever less. None: it has not."""
+        first, middle, last = block[[0, len(block) // 2, -1]]
+        momentum = slice(sum(self.mechanics.sizes[:2]), sum(self.mechanics.sizes[:3]))  # in any unit; see velocities
+        early, late = (np.abs(np.delete(change, momentum)).max() for change in (middle - first, last - middle))
+        rests = late <= min(REST, GROWTH * early) and constant(controls, controls[-1])
+        return controls[-1] if rests else None
 
     def _loop(self, phase: Phase, controls: Array, first: int) -> Iterator[Phase]:
         for k in range(len(controls) - 1):
             phase = self.advance(phase, controls[k], controls[k + 1], first + k)
             yield phase
+
+
+def constant(controls: Array, held: Array | None) -> bool:
+    """Whether ``controls`` (n, c) are those that are ``held`` (c,), but for the rest of a lag."""
+    return held is not None and bool((np.abs(controls - held) <= REST * np.maximum(np.abs(held), 1.0)).all())
 
 
 def _symmetric(name: str, vehicle: Vehicle) -> bool:

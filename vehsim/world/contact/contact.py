@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from vehsim.errors import InputError
 from vehsim.integrators.carried import carried, carry_on
 from vehsim.integrators.environment import Environment
-from vehsim.lie.quaternions import matrices
 from vehsim.vehicles.definition.base import State
 from vehsim.world.contact.bodies import Body, Led, MovingBody, MovingObstacle, damping_rate, effective
 from vehsim.world.contact.grip import Grip
@@ -53,16 +52,16 @@ BURIED = 0.02
 RESOLVED = 0.06
 """Phase of the contact's spring covered by one step in an impact, rad: 50 steps from touch to parting, and more where
 the damper, which starts suddenly, dominates."""
-RESTING = 0.25
+RESTING = 0.5
 """The same if nothing closes or rebounds faster than `GENTLE`."""
 DAMPED = 0.8
 """Decay by dampers in a step: the wrench at its end follows from a velocity that is predicted with the wrench at its
 start, so that above 1 a damper alternates instead of coming to rest. All dampers on a body count."""
 GENTLE = 0.3
 """m/s"""
-SIDEWAYS = 0.7
+SIDEWAYS, SIDEWAYS_DAMPING = 0.7, 0.7
 """Angular frequency of the spring along the surface, which holds what does not slide, over that of the contact's
-spring."""
+spring; and its damping ratio: motion decays as fast as can be, and steps are longer than with a critical damper."""
 ROOM = 1.0
 """Assumed increase of speeds until then, m/s."""
 STILL = 2e-3
@@ -365,8 +364,8 @@ class ContactScene:
     def _touching(self, moving: list[MovingBody | Led]) -> dict[Pair, Points]:
         """(vehicle, other vehicle or None, its name) -> the overlaps.
 
-        Records the earliest time of the next touch, and the closing speed (m/s) of pairs that are one resting step
-        apart.
+        Records the earliest time of the next touch, and the closing speed (m/s) of pairs, and of further corners above
+        the ground, that are one resting step apart.
         """
         import mujoco
 
@@ -408,12 +407,14 @@ class ContactScene:
             for a, (side, m) in enumerate(zip(self._undersides, moving, strict=False)):
                 if self.asleep[a]:
                     continue
-                gap, points = side.on(matrices(m.orientation), m.position)
+                gap, points = side.on(m.R_wr, m.position)
                 soon = min(soon, gap / max(m.fastest, 1e-6))
                 if points is not None:
                     pairs[(a, None, TERRAIN)] = points
+                    if FIRM * m.speed > GENTLEST:
+                        nearing = max(nearing, side.nearing(m.R_wr, m.position, m.velocity, self.contact.step))
                 elif gap < m.fastest * self.contact.step:
-                    nearing = max(nearing, m.fastest)
+                    nearing = max(nearing, m.speed)
         self._soon, self._nearing = soon, nearing
         return pairs
 
@@ -444,7 +445,7 @@ class ContactScene:
         slide = velocity + closing[:, None] * normals
         load = float(pressure.sum())  # where there is more of it, friction holds more: all points slide at once
         masses = mass * (pressure / load if load > 0 else share)
-        across = 2 * SIDEWAYS * frequency * math.sqrt(sideways / mass) * masses  # critical
+        across = 2 * SIDEWAYS_DAMPING * SIDEWAYS * frequency * math.sqrt(sideways / mass) * masses
         hold = grip.hold(
             a, b, middle, mean, points, slide, (SIDEWAYS * frequency) ** 2 * masses, across, c.friction * pressure
         )

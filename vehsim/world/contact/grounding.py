@@ -7,6 +7,7 @@ docs/derivations.md).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -91,6 +92,17 @@ class Underside:
                 *(np.concatenate([getattr(f, k) for f in found]) for k in ("depths", "places", "normals"))
             )
         return min(gap / float(np.hypot(1.0, steepest)), REACH), None  # a neighbouring face may be closer
+
+    def nearing(self, R_wb: Array, position: Array, velocity: Callable[[Array], Array], seconds: float) -> float:
+        """The greatest speed, m/s, at which corners that are above the ground now come to lie in it after ``seconds``;
+        0: none does. ``velocity``: of places (n, 3) of the body, m/s."""
+        corners = self.corners @ R_wb.T + position
+        later = corners + seconds * velocity(corners)
+        window = _window(self.terrain, later.min(axis=0)[:2] - REACH, later.max(axis=0)[:2] + REACH)
+        low = self._above(later, window) < TOUCH
+        before, after = (c[:, 2] - self.terrain.height(c[:, :2]) for c in (corners[low], later[low]))
+        falls = (before - after)[(before > TOUCH) & (after < TOUCH)]
+        return float(falls.max(initial=0.0)) / seconds
 
     def _above(self, corners: Array, window: tuple[slice, slice]) -> Array:
         """Heights (n,) m of ``corners`` (n, 3) above a plane that no ground in the ``window`` exceeds."""

@@ -6,6 +6,7 @@ of the rock in hulls, and edges of hulls that cross the rock between their ends.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,15 @@ class Rock:
         found = [self._sunk(corners), self._crossed(ends), self._peaks(R_wb, position, low, high)]
         joined = Points(*(np.concatenate([getattr(f, k) for f in found]) for k in ("depths", "places", "normals")))
         return 0.0, joined if len(joined.depths) else None
+
+    def nearing(self, R_wb: Array, position: Array, velocity: Callable[[Array], Array], seconds: float) -> float:
+        """The speed, m/s, of the fastest corner in the air that comes to lie in the rock after ``seconds``; 0: none
+        does. ``velocity``: of places (n, 3) of the body, m/s."""
+        corners = self._corners @ R_wb.T + position
+        speeds = velocity(corners)
+        hits = self.terrain.below(corners + seconds * speeds)
+        hits[hits] = ~self.terrain.below(corners[hits])
+        return float(np.linalg.norm(speeds[hits], axis=1).max(initial=0.0))
 
     def _sunk(self, corners: Array) -> Points:
         """Corners (n, 3) of hulls in the rock, pushed to its nearest point; beyond the borders, upwards."""

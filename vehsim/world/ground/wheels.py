@@ -146,6 +146,11 @@ def touch(
 
     If the travel is small, one of the ``rounds`` suffices. It ends with a change of at most ``tolerance`` m.
     """
+    moves = (np.diff(positions, axis=0) != 0).any(axis=1) | (np.diff(orientations, axis=0) != 0).any(axis=1)
+    if not moves.all():  # it stands at times
+        some = np.flatnonzero(np.concatenate([[True], moves]))
+        each = touch(terrain, wheel, positions[some], orientations[some], rounds, tolerance)
+        return np.repeat(each, np.diff(some, append=len(positions)))
     level = float(terrain.heights.flat[0])
     if terrain.surface is None and np.all(terrain.heights == level):
         vertical = matrices(orientations)[:, 2]
