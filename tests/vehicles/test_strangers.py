@@ -208,10 +208,10 @@ def test_a_vehicle_may_have_no_joints_and_no_controls():
         ({"rate_controls": {"spin": "wheel"}}, "rate_controls"),
         ({"constraints": lambda r: [[0, 0, 1]]}, r"constraints: does not give two matrices; return W_r \(m, 0\)"),
         ({"constraints": lambda r: (ca.SX(1, 0), [0, 0, 1])}, "constraints: does not give two matrices"),
-        ({"forces": lambda r, u, xi, c: [1.0]}, r"forces: gives shape \(1, 1\); give \(0,\)"),
-        ({"forces": lambda r, u, xi, c: ([], [1.0, 2.0])}, r"forces: gives shape \(2, 1\); give \(3,\)"),
-        ({"forces": lambda r, u, xi, c: None}, "forces: gives no expression"),
-        ({"lagrangian": lambda r, u, xi: xi}, r"lagrangian: gives shape \(3, 1\); give \(1,\)"),
+        ({"forces": lambda r, u, xi, c: [1.0]}, r"forces: returns shape \(1, 1\); return an empty column, ca.SX"),
+        ({"forces": lambda r, u, xi, c: ([], [1.0, 2.0])}, r"forces: returns shape \(2, 1\); return a column of 3"),
+        ({"forces": lambda r, u, xi, c: None}, "forces: returns NoneType, neither numbers nor expressions; return an"),
+        ({"lagrangian": lambda r, u, xi: xi}, r"lagrangian: returns shape \(3, 1\); return a scalar"),
         ({"lagrangian": lambda r, u, xi: ca.dot(xi, xi) + xi[1] ** 4}, "lagrangian: not quadratic in the velocities"),
         ({"lagrangian": lambda r, u, xi: ca.sqrt(1 + ca.dot(xi, xi))}, "lagrangian: not quadratic in the velocities"),
         (
@@ -223,7 +223,7 @@ def test_a_vehicle_may_have_no_joints_and_no_controls():
         ({"lagrangian": lambda r, u, xi: xi[4]}, r"lagrangian: cannot be evaluated: .*shapes \(0,\), \(0,\), \(3,\)"),
         ({"constraints": lambda r: (ca.SX(1, 0), [[0, ca.SX.sym("k"), 1]])}, "constraints: depends on k"),
         ({"constraints": lambda r: (ca.SX(1, 0), [[0, float("inf"), 1]])}, "constraints: .* not finite"),
-        ({"potential_energy": lambda g, r: g}, r"potential_energy: gives shape \(3, 1\); give \(1,\)"),
+        ({"potential_energy": lambda g, r: g}, r"potential_energy: returns shape \(3, 1\); return a scalar"),
         ({"potential_energy": lambda g, r: g[0] * ca.SX.sym("k")}, "potential_energy: depends on k"),
         ({"potential_energy": lambda g, r: r[1]}, "potential_energy: cannot be evaluated"),
         ({"forces": lambda r, u, xi, c: ([], [0, 0, c[2]])}, "forces: cannot be evaluated: .*out of bounds"),
@@ -237,7 +237,7 @@ def test_a_vehicle_that_cannot_move_is_refused_when_it_is_made(changed, message)
 
 @pytest.mark.parametrize(("name", "law"), [("wrench", lambda c: c), ("drag", lambda x: x[:2])])
 def test_a_law_of_a_body_with_the_wrong_shape_is_named(name, law):
-    with pytest.raises(InputError, match=rf"body: {name}: gives shape .*; give \(3,\)"):
+    with pytest.raises(InputError, match=rf"body: {name}: returns shape .*; return a column of 3"):
         Holonomic(name="body", group=SE2, inertia=(1, 2, 2), controls=(Control("thrust"),), **{name: law})
 
 

@@ -78,11 +78,16 @@ def column(vehicle: Definition, key: str, size: int, answer: Any, *given: Expr) 
     try:
         made = stacked(answer)
     except CASADI_ERRORS as error:
-        raise InputError("gives no expression", f"give ({size},)", key=key, subject=vehicle.name) from error
+        told = f"returns {type(answer).__name__}, neither numbers nor expressions"
+        raise InputError(told, _wanted(size), key=key, subject=vehicle.name) from error
     if made.shape != (size, 1):
-        raise InputError(f"gives shape {made.shape}", f"give ({size},)", key=key, subject=vehicle.name)
+        raise InputError(f"returns shape {made.shape}", _wanted(size), key=key, subject=vehicle.name)
     closed(vehicle, key, made, *given)
     return made
+
+
+def _wanted(size: int) -> str:
+    return {0: "return an empty column, ca.SX(0, 1)", 1: "return a scalar"}.get(size, f"return a column of {size}")
 
 
 def answered(vehicle: Definition, key: str, evaluate: Callable[..., Any], *given: Expr) -> Any:
