@@ -1,8 +1,9 @@
 """DMOC compared with direct collocation of the same vehicles, marks, cost and solver, as in SYM and NH.
 
 ``python -m benchmarks.collocation [VEHICLE ...]`` prints a table, for all vehicles or those named; without names it
-writes ``RESULTS.collocation.md`` beside this file. Every row is one solve from one initial guess, without coarser or
-finer levels; *executed* is the distance from the plan when an independent, fine integration executes the controls.
+writes ``RESULTS.collocation.md`` beside this file. Every row is the median over random goals of one solve each, from
+one initial guess, without coarser or finer levels; *executed* is the distance from the plan when an independent, fine
+integration executes the controls.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ import vehsim
 from benchmarks.collocated import SCHEMES, Collocated, Collocation, solve
 from benchmarks.machine import headed
 from vehsim import Mark
-from vehsim.planning.problem.transcription import Transcription
+from vehsim.planning.problem.transcription import Array, Transcription
 
 REST = (0.0, 0.0, 0.0)
 TASKS = {
@@ -28,31 +30,39 @@ TASKS = {
     ("car_lie", "effort"): (145, (0, 0, 0), (25, 6, 0)),
     ("two_wheeled", "effort"): (241, (0, 0, 0), (10, 4, 0)),
 }
-"""(vehicle, cost) -> last frame at 24 fps, start and goal, m, from rest to rest, rotated by 20 degrees."""
+"""(vehicle, cost) -> last frame at 24 fps, start and the goals' mean, m, from rest to rest."""
 
 OURS = {"order 2": 2, "order 4": 4}
 """Method -> order of DMOC, which `plan` refines from 2 to 4."""
-RIVAL, TURNS = "hermite-simpson", 5
+MAIN, RIVAL, SEGMENTS, GOALS, TURNS = "order 4", "hermite-simpson", (16, 32, 64), 9, 3
+SPREAD, ASIDE, HEADING = 0.4, 20.0, 40.0
+"""By how much the distances of random goals differ, by their mean; how far they lie aside of it and how far they are
+turned, at most, degrees."""
+SAME = 0.05
+"""Largest distance of two motions to the same optimum, at their knots, by the distance to the goal."""
 TOP = [
     "# DMOC and collocation, measured",
     "",
-    "Order 4 of DMOC divided by Hermite-Simpson: executed error, and CPU time of a solve including building. Both have",
-    "the same solver and start. At most 1 is the target.",
+    "Order 4 of DMOC divided by Hermite-Simpson: executed error, CPU time of a solve, iterations, and CPU time of",
+    f"an iteration; medians over {GOALS} random goals, in brackets the least and the most. Both have the same solver",
+    "and start. At most 1 is the target. Only goals count at which both end at the same optimum: their knots are apart",
+    f"by at most {SAME * 100:.0f} % of the distance to the goal.",
     "",
-    "| vehicle, cost | N | executed error | CPU time |",
-    "|---|---|---|---|",
+    "| vehicle, cost | N | goals | executed error | CPU time | iterations | CPU time of an iteration |",
+    "|---|---|---|---|---|---|---|",
 ]
 HEAD = [
     "Order 4 (`vehsim/planning/problem/simpson.py`) is Hermite-Simpson's rule on the group: it keeps quaternions at",
     "unit norm and constraints at every knot and middle, and is symmetric in time; momentum is conserved to fourth",
     "order. In the plane its equations are those of Hermite-Simpson in other variables. Both are differentiated by the",
-    "chain rule through the middle of a segment (`Element.inner`), which saves 25 % (ours) and 17 % (the other) of",
-    "a helicopter's Hessian: 7,506 and 10,358 instructions are left. Ours has the larger linear systems. Where ours",
-    "takes a tenth longer or more, it needs more iterations, as it happens: over seventeen solves both need as many.",
+    "chain rule through the middle of a segment (`Element.inner`). Where that is cheap, here for the helicopter and",
+    "the robot, the velocity at the middle is not a variable of ours either (`Element.reduced`).",
     "",
     f"One thread, no compiler. CPU times are the least of {TURNS} turns, in which all methods solve one after another.",
+    "They include the guess and the execution of the controls, but not building. Medians over the same goals:",
     "",
-    "| vehicle, cost | method | N | cost | executed, off by (m) | quaternion drift | iterations | CPU (s) |",
+    "| vehicle, cost | method | N | cost by Hermite-Simpson's | executed, off by (m) | quaternion drift | iterations "
+    "| CPU (s) |",
     "|---|---|---|---|---|---|---|---|",
 ]
 
@@ -69,9 +79,13 @@ CPU times and executed errors are relative to Hermite-Simpson, on 2026-11-24: on
 - Order 4 with an exact law for the momentum at the end, `pi_1 - pi = ad(x)^T (pi + pi_1) / 2` plus impulses:
   helicopter 1.1 to 1.5 times, errors 0.9 to 2.4. The controls' torques are linear in body axes, where Simpson's rule
   integrates them exactly. So exact momentum costs accuracy here.
-- Without the velocity at the middle as a variable: 5 to 20 % less CPU time for the helicopter. But holds, clearances at
-  the middle and finer levels use it. Again on 2026-11-27: car and robot 5 to 10 % less, the helicopter the same per
-  iteration, since a Hessian takes 16,488 instructions instead of 12,013, which outweighs the smaller linear systems.
+- Without the velocity at the middle as a variable for every vehicle: Hessians and Jacobians of the simple car take
+  50 %, of the truck 45, of the shipped helicopter 52, of snakeboards 28, of boats 36, of the hopper 47 and of the
+  rally car 69 % more instructions, which costs more than the smaller linear systems save. Solves of the simple car
+  took 5 % longer, of the car 4 % less, but plans of the car the same. Where clearances read it, it stays a variable.
+- The rotation as a unit quaternion of a rational function instead of the implicit relation: 340 of 13,000 instructions
+  less for the papers' helicopter, 900 of 28,600 more for the shipped one. Compared with the ends in body axes instead:
+  800 less, but multipliers of order 2 would have to be rotated.
 - Rotations by the exponential, until 2026-11-27: 12,013 instructions per Hessian of the helicopter; with the Cayley map
   and a corrected vector 10,734, with the logarithm of the ends 10,334, and with the implicit Cayley relation between
   both ends, which is used now, 10,032 (Hermite-Simpson 12,470). 56 flights (14 random goals, both costs, N = 16 and
@@ -99,53 +113,93 @@ CPU times and executed errors are relative to Hermite-Simpson, on 2026-11-24: on
 """
 
 
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A solve, and its least CPU time, s."""
+
+    answer: Collocated
+    seconds: float
+
+    @property
+    def columns(self) -> list[float]:
+        """Cost, executed error m, quaternion drift, iterations and CPU time s."""
+        answer, solution = self.answer, self.answer.solution
+        drift = np.abs(np.linalg.norm(answer.g[:, :4], axis=1) - 1).max()
+        return [solution.cost, answer.executed.final, drift, solution.iterations, self.seconds]
+
+    def ends_like(self, other: Tried) -> bool:
+        """Whether both motions are solved, and lie near each other at their knots."""
+        if not (self.answer.solution.success and other.answer.solution.success):
+            return False
+        a, b = (each.answer.g[:, -3:] if each.answer.g.shape[1] > 3 else each.answer.g[:, 1:] for each in (self, other))
+        return bool(np.linalg.norm(a - b, axis=1).max() < SAME * np.linalg.norm(b[-1] - b[0]))
+
+
 def main() -> None:
     named = sys.argv[1:]
     lines, ratios = [], []
-    for (name, cost), (frame, start, goal) in TASKS.items():
+    for (name, cost), (frame, start, mean) in TASKS.items():
         if named and name not in named:
             continue
         vehicle = vehsim.load_vehicle(name)
         vehicle = vehicle.planar or vehicle
-        marks = [
-            Mark(1, position=start, heading=0, velocity=REST),
-            Mark(frame, position=goal, heading=20, velocity=REST),
-        ]
         ours = Transcription(vehicle)
         methods: dict[str, tuple[Any, int]] = {method: (ours, order) for method, order in OURS.items()}
         methods |= {scheme: (Collocation(vehicle, scheme), 2) for scheme in SCHEMES}
-        for n in (16, 32, 64):
-            answers, spent = _in_turn(methods, marks, n, cost)
-            for method, answer in answers.items():
-                drift = ""
-                if vehicle.group.size > vehicle.group.dim:
-                    drift = f"{np.abs(np.linalg.norm(answer.g[:, :4], axis=1) - 1).max():.0e}"
-                solution = answer.solution
+        goals = _goals(frame, start, mean)
+        _in_turn(methods, goals[0], SEGMENTS[0], cost)  # builds the elements
+        for n in SEGMENTS:
+            tried = [_in_turn(methods, marks, n, cost) for marks in goals]
+            same = [each for each in tried if each[MAIN].ends_like(each[RIVAL])]
+            table = {method: np.array([each[method].columns for each in same]) for method in methods}
+            for method, rows in table.items():
+                over = np.median(rows[:, 0] / table[RIVAL][:, 0])
+                _, off, drift, iterations, seconds = np.median(rows, axis=0)
+                kept = f"{drift:.0e}" if vehicle.group.size > vehicle.group.dim else ""
                 lines.append(
-                    f"| {name}, {cost} | {method} | {n} | {solution.cost:.4f} | {answer.executed.final:.1e} | {drift} "
-                    f"| {solution.iterations if solution.success else solution.message} | {spent[method]:.3f} |"
+                    f"| {name}, {cost} | {method} | {n} | {over:.4f} | {off:.1e} | {kept} | {iterations:.0f} "
+                    f"| {seconds:.3f} |"
                 )
                 print(lines[-1], flush=True)
-            near = answers["order 4"].executed.final / answers[RIVAL].executed.final
-            ratios.append(f"| {name}, {cost} | {n} | {near:.2f} | {spent['order 4'] / spent[RIVAL]:.2f} |")
-    print("\n".join(ratios))
+            _, off, _, iterations, seconds = (table[MAIN] / table[RIVAL]).T
+            cells = " | ".join(map(_spread, (off, seconds, iterations, seconds / iterations)))
+            ratios.append(f"| {name}, {cost} | {n} | {len(same)} of {GOALS} | {cells} |")
+            print(ratios[-1], flush=True)
     if not named:
         page = [*TOP, *ratios, "", *HEAD, *lines, "", DROPPED]
         Path(__file__).with_name("RESULTS.collocation.md").write_text(headed("\n".join(page)), encoding="utf-8")
 
 
+def _spread(ratios: Array) -> str:
+    """The median, the least and the most."""
+    return f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
+
+
+def _goals(frame: int, start: Sequence[float], mean: Sequence[float]) -> list[list[Mark]]:
+    """Marks of random tasks, from rest to rest."""
+    chance, way = np.random.default_rng(0), np.subtract(mean, start)
+    goals = []
+    for _ in range(GOALS):
+        x, y, z = way * chance.uniform(1 - SPREAD, 1 + SPREAD)
+        turn, heading = np.radians(chance.uniform(-ASIDE, ASIDE)), float(chance.uniform(-HEADING, HEADING))
+        goal = start + np.array([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y, z])
+        first = Mark(1, position=tuple(start), heading=0, velocity=REST)
+        goals.append([first, Mark(frame, position=tuple(goal.tolist()), heading=float(heading), velocity=REST)])
+    return goals
+
+
 def _in_turn(
     methods: Mapping[str, tuple[Any, int]], marks: Sequence[Mark], segments: int, cost: str
-) -> tuple[dict[str, Collocated], dict[str, float]]:
-    """Every method's result, and its least CPU time, s, of `TURNS` turns after one that builds its elements."""
-    answers, spent = {}, {method: np.inf for method in methods}
-    for turn in range(TURNS + 1):
+) -> dict[str, Tried]:
+    """Every method's result, with its least CPU time of `TURNS` turns."""
+    tried: dict[str, Tried] = {}
+    for _ in range(TURNS):
         for method, (transcription, order) in methods.items():
             began = time.process_time()
-            answers[method] = solve(transcription, marks, segments, order, cost=cost)
-            if turn:
-                spent[method] = min(spent[method], time.process_time() - began)
-    return answers, spent
+            answer = solve(transcription, marks, segments, order, cost=cost)
+            spent = time.process_time() - began
+            tried[method] = Tried(answer, min(spent, tried[method].seconds if method in tried else spent))
+    return tried
 
 
 if __name__ == "__main__":

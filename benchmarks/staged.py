@@ -1,9 +1,9 @@
 """A problem of `vehsim.plan` in fatrop's structure by stages, for comparison with IPOPT. No plan uses it.
 
 fatrop wants ``x[k + 1] = F(x[k], u[k])``, but our equations of motion are implicit. So stage k has the state and the
-controls of knot k as its states; its own controls are the segment's velocity and *copies* of the next knot's state and
-controls. The next stage's states equal the copies, and the equations of motion are constraints within the stage. The
-durations of segments are constants here: marks are at given frames.
+controls of knot k as its states; its own controls are the segment's velocity, if the problem has it, and *copies* of
+the next knot's state and controls. The next stage's states equal the copies, and the equations of motion are
+constraints within the stage. The durations of segments are constants here: marks are at given frames.
 """
 
 from __future__ import annotations
@@ -37,14 +37,19 @@ class Staged:
         """The problem's variable (size,) of every variable by stages."""
         layout, every = self.layout, np.arange(self.layout.segments)
         knots = np.vstack([layout.knot(np.arange(layout.knots)), layout.control(np.arange(layout.knots))])
-        stages = np.vstack([knots[:, :-1], layout.velocity(every), knots[:, 1:]])
+        stages = np.vstack([knots[:, :-1], layout.velocity(every)[: self.velocities], knots[:, 1:]])
         return np.append(stages.T.ravel(), knots[:, -1]).astype(np.intp)
 
     @property
     def sizes(self) -> tuple[int, int]:
         """Numbers of states and controls of a stage."""
         states = self.layout.state + self.layout.sizes[3]
-        return states, self.layout.sizes[2] + states
+        return states, self.velocities + states
+
+    @property
+    def velocities(self) -> int:
+        """Number of variables of a segment's velocity, zero if the problem lacks it."""
+        return 0 if self.problem.lacked.size else self.layout.sizes[2]
 
     @cached_property
     def first(self) -> NDArray[np.bool_]:

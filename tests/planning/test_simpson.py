@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 
 import vehsim
+from vehsim import Mark
 from vehsim.integrators.continuous import execute
 from vehsim.lie import SO3
-from vehsim.planning.problem.elements import NonlinearProgram
+from vehsim.planning import solve
+from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.simpson import _unturned, simpson
+from vehsim.planning.problem.solver_cache import SolverCache
 from vehsim.planning.problem.transcription import transcribe
 
 WIND = np.array([1.0, -2.0, 0.5])
@@ -95,6 +98,63 @@ def test_the_reversed_segment_is_the_same_segment(name):
     back, again = step(x1, middle, *controls[1::-1], -0.1)
     np.testing.assert_allclose(back, x, atol=1e-9)
     np.testing.assert_allclose(again, middle, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["helicopter_lie", "two_wheeled"])
+def test_a_segment_without_its_velocity_has_the_same_solution(name):
+    made = transcribe(loaded(name))
+    element = simpson(made)
+    assert element.reduced is not None
+    places, make = element.reduced
+    _, _, z, x, controls = start_of(made)
+    x1, middle = stepper(made)(x, z, *controls[:2], 0.1)
+    found = np.concatenate([x, middle, *controls[:2], x1, [0.1]])
+    problem = NonlinearProgram(element.y.shape[0])
+    problem.add(element, np.arange(problem.size))
+    problem.reduce()
+    assert problem.uses[0].element is make() and problem.lacked.tolist() == list(places)
+    p = problem.vector({"wind": WIND})
+    guess = found.copy()
+    guess[problem.lacked] = 0.0
+    rows = np.ravel(problem.functions()["nlp"](guess, p)[1])
+    assert len(rows) == element.g.shape[0] - len(places)
+    np.testing.assert_allclose(rows, 0.0, atol=1e-10)
+    np.testing.assert_allclose(np.ravel(problem.missing(guess, p)), middle, atol=1e-10)
+
+
+def test_a_velocity_that_another_element_reads_stays_a_variable():
+    made = transcribe(loaded("two_wheeled"))
+    element = simpson(made)
+    problem = NonlinearProgram(element.y.shape[0])
+    problem.add(element, np.arange(problem.size))
+    speed = ca.SX.sym("speed")
+    problem.add(Element("reader", speed, g=speed, upper=1.0), np.array([element.reduced[0][0]]))
+    problem.reduce()
+    assert problem.uses[0].element is element and not problem.lacked.size
+
+
+@pytest.mark.parametrize("name", ["simple_car", "snakeboard", "boat", "truck", "hopper"])
+def test_costly_vehicles_keep_their_velocities(name):
+    assert simpson(transcribe(loaded(name))).reduced is None
+
+
+def test_plans_without_velocities_as_variables_are_the_same(monkeypatch):
+    robot, plans = vehsim.load_vehicle("two_wheeled"), []
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        Mark(241, position=(9, 4, 0), heading=30, velocity=(0, 0, 0)),
+    ]
+    for reduce in (NonlinearProgram.reduce, lambda problem: None):
+        monkeypatch.setattr(NonlinearProgram, "reduce", reduce)
+        monkeypatch.setattr(solve, "common", SolverCache)  # builds every problem again
+        plans.append(vehsim.plan(robot, None, marks, segments=32))
+    reduced, whole = plans
+    assert reduced.success and reduced.cost == pytest.approx(whole.cost, rel=1e-8)
+    np.testing.assert_allclose(reduced.clip.positions, whole.clip.positions, atol=1e-6)
+    layout = reduced._iterate.layout
+    assert layout.order == 4 and reduced._iterate.problem.lacked.size
+    velocities = layout.velocity(np.arange(layout.segments))
+    np.testing.assert_allclose(reduced._iterate.x[velocities], whole._iterate.x[velocities], atol=1e-6)
 
 
 def test_quaternions_keep_unit_norm_at_a_long_step():

@@ -9,8 +9,11 @@ import vehsim
 from tests.planning.test_plan import REST, tug
 from vehsim import Mark
 from vehsim.planning.constraints import clearance
+from vehsim.planning.constraints.block import assemble
 from vehsim.planning.constraints.clearance import Clearance
+from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.multipliers import _of_order, transferred
+from vehsim.planning.problem.solver import Multipliers
 from vehsim.world.terrain.terrain import Terrain
 
 
@@ -37,6 +40,26 @@ def test_multipliers_of_one_order_are_those_of_the_other():
     there = _of_order(given, 4, 3)
     np.testing.assert_allclose((there * after).sum(axis=1), (given * before).sum(axis=1))
     np.testing.assert_allclose(_of_order(there, 2, 3), given)
+
+
+def test_multipliers_reach_problems_without_velocities_and_come_back(monkeypatch):
+    """Those of the rows that both have; the others are left out, or zero."""
+    plan = flight(vehsim.load_vehicle("helicopter_lie"), 16)[1]
+    iterate = plan._iterate
+    two, four = (replace(iterate.layout, order=order) for order in (2, 4))
+    simple, reduced = (assemble(iterate.transcription, layout, iterate.blocks) for layout in (two, four))
+    monkeypatch.setattr(NonlinearProgram, "reduce", lambda problem: None)
+    whole = assemble(iterate.transcription, four, iterate.blocks)
+    chance = np.random.default_rng(1)
+    given = Multipliers(chance.normal(size=two.size), chance.normal(size=len(simple.bounds[0])), 1.0)
+    there, true = (transferred(given, (simple, two), (problem, four)).g for problem in (reduced, whole))
+    n, count, rows = iterate.transcription.sizes[2], whole.uses[0].count, whole.uses[0].rows
+    assert reduced.uses[0].rows == rows - n and whole.uses[0].element.name == "dynamics"
+    expected = true[: rows * count].reshape(count, rows)
+    np.testing.assert_array_equal(there, np.append(expected[:, n:].ravel(), true[rows * count :]))
+    back = transferred(Multipliers(given.x, there, 1.0), (reduced, four), (whole, four)).g
+    expected[:, :n] = 0.0
+    np.testing.assert_array_equal(back, true)
 
 
 def with_multipliers(plan, multipliers):

@@ -108,6 +108,7 @@ def assemble(transcription: Transcription, layout: Layout, blocks: Sequence[Bloc
     for number, block in enumerate(blocks):
         with problem.owned_by(number):
             block.add_active(problem, transcription, layout)
+    problem.reduce()
     return problem
 
 

@@ -73,6 +73,11 @@ class Element:
     inner: Sequence[tuple[Any, Any]] = ()
     """Symbols (m,) in ``g``, and the expressions (m,) of ``y``, the parameters and earlier symbols that they stand for.
     Derivatives follow the chain rule through them, which takes fewer operations where ``m`` is small."""
+    reduced: tuple[Sequence[int], Callable[[], Element]] | None = None
+    """Indices of the variables (m,) which the first ``m`` rows determine from the others, and the element without both,
+    for problems in which no other element reads them."""
+    lacked: Any = None
+    """The variables (m,) that a reduced element lacks, as an expression of the others."""
 
     def __post_init__(self) -> None:
         kind = type(self.y)
@@ -96,10 +101,20 @@ class Element:
         assert self.space is not None
         return ca.Function("points", [self.y, self.p[: self.given]], [self.space.points])
 
+    @property
+    def lacks(self) -> int:
+        """How many rows and variables a reduced element lacks."""
+        return 0 if self.lacked is None else int(self.lacked.shape[0])
+
     @cached_property
     def value(self) -> ca.Function:
         """``(y, p) -> (f, g)``"""
         return self.function("value", [ca.densify(self.f), self.g])
+
+    @cached_property
+    def missing(self) -> ca.Function:
+        """``(y, p) -> (m,)``: the variables that a reduced element lacks."""
+        return self.function("missing", [ca.densify(self.lacked)])
 
     @cached_property
     def gradient(self) -> ca.Function:
@@ -215,6 +230,8 @@ class Use:
     names: Sequence[str] = ()
     owner: int = -1
     """Index of the block that added it."""
+    lacked: Indices = field(default_factory=lambda: np.zeros((0, 0), np.intp))
+    """Indices (m, count) of the variables that a reduced element lacks."""
 
     def name(self, occurrence: int, row: int) -> str:
         """The name of a row in messages."""
@@ -321,6 +338,29 @@ class NonlinearProgram:
         fixed = [_columns(value, element.sizes[name], count) for name, value in constants.items()]
         places = np.vstack([np.zeros((0, count), np.intp), *columns])
         self.uses.append(Use(element, variables, places, np.vstack([np.zeros((0, count)), *fixed]), names))
+
+    def reduce(self) -> None:
+        """Take the reduced elements where no other element reads the variables that they lack."""
+        readers = np.bincount(np.concatenate([use.variables.ravel() for use in self.uses]), minlength=self.size)
+        for number, use in enumerate(self.uses):
+            if use.element.reduced is not None:
+                places, made = use.element.reduced
+                if (readers[use.variables[places]] == 1).all():
+                    rest, lacked = np.delete(use.variables, places, axis=0), use.variables[places]
+                    self.uses[number] = replace(use, element=made(), variables=rest, lacked=lacked)
+
+    @property
+    def lacked(self) -> Indices:
+        """Indices (k,) of the variables that reduced elements lack: constants for the solver."""
+        return np.concatenate([np.zeros(0, np.intp), *(use.lacked.ravel() for use in self.uses)])
+
+    @cached_property
+    def missing(self) -> ca.Function:
+        """``(x, p) -> (k,)``: the values of the variables that reduced elements lack."""
+        x, p = ca.MX.sym("x", self.size), ca.MX.sym("p", self.parameters)
+        uses = [use for use in self.uses if use.lacked.size]
+        values = [ca.vec(use.mapped(use.element.missing)(*use.local(x, p, 0)).T) for use in uses]
+        return ca.Function("missing", [x, p], [ca.vertcat(*values)])
 
     @property
     def bounds(self) -> tuple[Array, Array]:

@@ -30,16 +30,18 @@ def transferred(
     known, first = defaultdict(list), 0
     for use in problem.uses:
         rows = multipliers.g[first : first + use.rows * use.count].reshape(use.count, use.rows)
-        known[use.element.name, use.rows].append((coarse.instants(use.variables[0]), rows))
         first += rows.size
+        rows = np.hstack([np.zeros((use.count, use.element.lacks)), rows])
+        known[use.element.name, rows.shape[1]].append((coarse.instants(use.variables[0]), rows))
     g = [np.zeros(0)]
     for use in other.uses:
-        found = known[use.element.name, use.rows]
+        found = known[use.element.name, use.rows + use.element.lacks]
         rows = np.zeros((use.count, use.rows))
         if found and use.count:
             rows = _at(fine.instants(use.variables[0]), *found.pop(0))
             if use.element.name == "dynamics" and coarse.order != fine.order:
                 rows = _of_order(rows, fine.order, fine.sizes[2])
+            rows = rows[:, use.element.lacks :]
             if use.count > 1:
                 rows[:, use.element.lower < use.element.upper] *= share
         g.append(rows.ravel())

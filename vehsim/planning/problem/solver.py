@@ -228,7 +228,7 @@ class Solver:
     ):
         self.problem, self.plugin, self.max_iterations, self.end = problem, plugin, max_iterations, end
         self.watch: Callable[[int, Array], None] | None = None
-        self._bounds = problem.bounds
+        self._bounds, self._lacked = problem.bounds, problem.lacked
         functions = problem.functions()
         self._nlp = functions.pop("nlp")
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
@@ -273,6 +273,8 @@ class Solver:
     ) -> Solution:
         """Solve from ``x0`` and optional ``multipliers`` until ``deadline`` s on the clock of `time.monotonic`."""
         g_lower, g_upper = self._bounds
+        lower, upper, lacked = lower.copy(), upper.copy(), self._lacked
+        lower[lacked] = upper[lacked] = x0[lacked]
         given, magnitude = {}, 1.0
         if multipliers is not None:
             given = {"lam_x0": multipliers.x, "lam_g0": multipliers.g}
@@ -285,6 +287,8 @@ class Solver:
             answer = solver(x0=x0, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper, p=parameters, **given)
         stats = solver.stats()
         x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
+        if lacked.size:
+            x[lacked] = np.asarray(self.problem.missing(x, parameters)).ravel()
         violations = self.violations(g)
         cost, status = float(answer["f"]), str(stats["return_status"])
         if status == NO_NUMBER:  # its constraints are reported as zero
