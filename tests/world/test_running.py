@@ -8,6 +8,7 @@ from hulls import floating
 
 import vehsim
 from vehsim.vehicles import State
+from vehsim.vehicles.definition.resistance import running
 from vehsim.vehicles.library.hull_form import particulars
 from vehsim.vehicles.models.boat import boat
 from vehsim.world.water.buoyancy import Afloat
@@ -136,3 +137,14 @@ def test_a_light_hull_settles_in_a_hard_turn_at_full_thrust():
     assert lean.min() > 5.0 and lean.max() < 20.0 and np.ptp(lean) < 2.0
     assert np.ptp(np.degrees(clip.twists[last, 2])) < 3.0
     assert clip.twists[-1, 3] < 0.8 * clip.twists[clip.times <= 9.0, 3].max()
+
+
+def test_a_displacement_hull_resists_as_its_friction_line_says():
+    """Slamming pressed on the bow of a hull that moves ahead steadily: three times the friction at 2 m/s."""
+    run = running(4000.0, 8.0, 25.0, None)
+    body = floating(prism(8.0, 2.4, np.radians(15), 1.5), 4000.0, (3e3, 2e4, 2e4), running=run, impact=1.0)
+    afloat = Afloat(body, World(water=0.0))
+    for speed in (1.0, 2.0, 4.0):
+        ahead = State(position=(0, 0, afloat.floating()[0]), twist=np.array([0, 0, 0, speed, 0, 0]))
+        surge = afloat.forces(0.0, ahead, np.zeros(0)).wrench[3]
+        assert surge == pytest.approx(-speed * run.rate(speed), rel=1e-3)

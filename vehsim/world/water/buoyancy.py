@@ -641,7 +641,7 @@ class Forces:
 def _entering(wet: Wetted, lift: Lift) -> tuple[Array, Array]:
     """Normals (k, 3) of the pressure of water that triangles move into, with their areas as lengths, and the speed
     (k, 3) into it at the middles of their edges, m/s."""
-    over = wet.normals if lift.transom is None else wet.normals * [0.0, 1.0, 1.0]
+    over = wet.normals * [0.0, 1.0, 1.0] if lift.across else wet.normals
     area = np.sqrt(np.einsum("ki,ki->k", wet.normals, wet.normals))
     speed = np.maximum(np.einsum("kqi,ki->kq", wet.middles[:, :, THROUGH], over), 0.0)
     return over, speed / np.maximum(area, 1e-300)[:, None]

@@ -31,10 +31,13 @@ class Lift:
     """The law at a speed. A patch that moves with ``v``, and with ``v_n`` into the water, has the pressure
     ``rho planing v_n |v| / 2``, and ``rate`` N s/m resists.
 
-    With a ``transom`` (x, length) m, the bottom is that of a planing hull: this pressure and slamming act across the
-    keel only, as on Savitsky's hulls; and a ``vented`` share of the pressure is missing at the transom, where the water
-    leaves, and none from ``length`` ahead of it. Water rises along the bottom (Wagner 1932), by ``rise`` times the
-    depth of the keel below the undisturbed surface, and the planing pressure and ``rate`` act up to there; see `risen`.
+    ``across``: this pressure and slamming act across the keel only, as on Savitsky's hulls, because the resistance
+    ahead is that of the hull's form.
+
+    With a ``transom`` (x, length) m, the bottom is that of a planing hull: a ``vented`` share of the pressure is
+    missing at the transom, where the water leaves, and none from ``length`` ahead of it. Water rises along the bottom
+    (Wagner 1932), by ``rise`` times the depth of the keel below the undisturbed surface, and the planing pressure and
+    ``rate`` act up to there; see `risen`.
     """
 
     planing: float = 0.0
@@ -42,6 +45,7 @@ class Lift:
     rate: float = 0.0
     transom: tuple[float, float] | None = None
     rise: float = 0.0
+    across: bool = False
 
     def risen(self, deep: Array, places: Array, keel: Array, through: Array, bottom: Any) -> Array:
         """How much the water rises at ``places`` (n, 3) of a hull, m, where the keel is ``deep`` (n,) m below the
@@ -90,6 +94,7 @@ class Law:
     rate: SpeedSpline
     transom: tuple[float, float] | None = None
     rise: SpeedSpline | None = None
+    across: bool = False
 
     def at(self, speed: float) -> Lift:
         """The law at ``speed`` m/s through the water; astern there is only resistance."""
@@ -97,7 +102,7 @@ class Law:
         rise = 0.0 if self.rise is None else self.rise(fore)
         if rise < 2 * FAINT:
             rise = max(2 * (rise - FAINT), 0.0)
-        return Lift(self.planing(fore), self.vented(fore), self.rate(speed), self.transom, rise)
+        return Lift(self.planing(fore), self.vented(fore), self.rate(speed), self.transom, rise, self.across)
 
 
 class Boat(Protocol):
@@ -141,18 +146,19 @@ def law_of(boat: Boat) -> Law:
     running, hull = boat.data.running, boat.data
     none = SpeedSpline.constant(0.0)
     if running is None or running.trim is None or running.draft is None or running.share is None:
-        return Law(SpeedSpline.constant(hull.planing), none, none if running is None else running.rate)
+        rate = none if running is None else running.rate
+        return Law(SpeedSpline.constant(hull.planing), none, rate, across=running is not None)
     speeds = running.speeds
     slow = int(np.searchsorted(speeds, SLOW * np.sqrt(GRAVITY * boat.rest_volume ** (1 / 3))))
     first = int(np.flatnonzero(np.isfinite(running.draft))[0])
     transom = (float(running.transom[0]), VENTED * running.length)
     rows = np.zeros((len(speeds), 3))
     rise = WAGNER * running.share
-    guess = Lift(1.0, 1.0, running.resistance[first] / speeds[first], transom, WAGNER)
+    guess = Lift(1.0, 1.0, running.resistance[first] / speeds[first], transom, WAGNER, True)
     for k in range(first, len(speeds)):
         guess = _planing(boat, running, k, guess)
         rows[k] = guess.planing, guess.vented, guess.rate
-    guess, still = Lift(rows[first, 0], rows[first, 1], rows[first, 2], transom, WAGNER), _trim_at_rest(boat)
+    guess, still = Lift(rows[first, 0], rows[first, 1], rows[first, 2], transom, WAGNER, True), _trim_at_rest(boat)
     running = replace(running, trim=running.trim + (1 - running.share) * still)
     for k in range(first - 1, slow - 1, -1):
         planing = rows[first, 0] * speeds[k] / speeds[first]
@@ -164,7 +170,7 @@ def law_of(boat: Boat) -> Law:
     share = speeds[:slow] / speeds[slow]
     rows[:slow] = rows[slow] * np.column_stack([share, share**2, usual[:slow] / usual[slow]])
     planing, vented, rate = (SpeedSpline.through(speeds, column) for column in rows.T)
-    return Law(planing, vented, rate, transom, SpeedSpline.through(speeds, rise))
+    return Law(planing, vented, rate, transom, SpeedSpline.through(speeds, rise), True)
 
 
 def steady(boat: Boat, speed: float, lift: Lift) -> tuple[float, float]:
