@@ -57,6 +57,18 @@ HOLES = ((9.0, 0.9), (24.0, 0.8), (57.0, 0.35))
 """Holes in foam: their number along a tile of the water's texture coordinates, and how much they matter."""
 THREADED = (0.8, 1.35)
 """Where the sum of foam and of the rank of a place in its threads, each from 0 to 1, begins to be white, and is so."""
+WAVES = "vehsim:waves:"
+"""Start of the names of the attributes of the water's surface that hold its waves."""
+SHADED, BANDS = 48, 2.0
+"""Number of the steepest waves that shading shows where the mesh is too coarse; they fade in bands, so many an octave.
+"""
+CHOP = 1000
+"""Number of the first band of waves that no mesh carries."""
+PIXEL, VISIBLE = 1 / 1500, (6.0, 3.0)
+"""Angle of a pixel, rad, and from how many pixels a wave on a wave is visible, and on how many it is not."""
+HAZE, LOW = 2000.0, 0.01
+"""Distance at which haze leaves 37 % of the water, m, by its square: near water stays dark. And how far above the
+horizon, rad, the sky is that it looks like."""
 HIDING = ("hide_render", "hide_viewport")
 """Properties that hide an object, in renders and in viewports."""
 MERGED = 0.01
@@ -81,9 +93,13 @@ def open_stage(stage: str | Path, fps: Fraction | None = None) -> Any:
     for prim in opened.Traverse():
         if str(prim.GetPath()).endswith(WATER):
             colours = prim.GetAttribute(f"primvars:{DISPLAY_COLOUR}").Get()
+            rough = prim.GetAttribute("primvars:roughness").Get()
             for material in bpy.data.materials:
-                if material.use_nodes:
-                    _thread_foam(material.node_tree, colours[0], colours[-1])
+                if material.use_nodes and _is_water(nodes := _Nodes(material.node_tree)):
+                    white = _thread_foam(nodes, colours[0], colours[-1])
+                    if prim.HasAttribute(f"{WAVES}number"):
+                        _shade_distant_waves(nodes, prim, white, (rough[0], rough[-1]))
+                    _haze_over(nodes, scene.world.node_tree)
     if fps is not None:
         scene.render.fps = -(-fps.numerator // fps.denominator)
         scene.render.fps_base = float(scene.render.fps / fps)
@@ -118,49 +134,145 @@ def _show_display_colours(meshes: Iterable[Any]) -> None:
         mesh.materials.append(material)
 
 
-def _thread_foam(tree: Any, clear: Sequence[float], foam: Sequence[float]) -> None:
-    """Divide foam into threads around holes, if these are the nodes of the water's material, which has it per point of
-    the mesh, between the colours ``clear`` and ``foam``."""
-    named = {node.attribute_name: node for node in tree.nodes if node.type == "ATTRIBUTE"}
-    places = [node for node in tree.nodes if node.type == "UVMAP"]
-    shaders = [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
-    if not (places and shaders and {DISPLAY_COLOUR, "roughness"} <= set(named)):
-        return
+class _Nodes:
+    """Makes nodes in a material's ``tree``."""
 
-    def made(kind: str, **settings: Any) -> Any:
-        node = tree.nodes.new(f"ShaderNode{kind}")
+    def __init__(self, tree: Any) -> None:
+        self.tree = tree
+
+    def of(self, kind: str) -> list[Any]:
+        return [node for node in self.tree.nodes if node.type == kind]
+
+    def made(self, kind: str, **settings: Any) -> Any:
+        node = self.tree.nodes.new(f"ShaderNode{kind}")
         for key, value in settings.items():
             setattr(node, key, value)
         return node
 
-    def put(node: Any, values: Sequence[Any]) -> Any:
-        """Its first output, with its inputs set to numbers or linked to other outputs."""
+    def put(self, node: Any, *values: Any, output: Any = 0) -> Any:
+        """An output of it, with its inputs set to numbers or linked to other outputs."""
         for socket, value in zip(node.inputs, values, strict=False):
             if hasattr(value, "is_linked"):
-                tree.links.new(value, socket)
+                self.tree.links.new(value, socket)
             else:
                 socket.default_value = value
-        return node.outputs[0]
+        return node.outputs[output]
 
+    def math(self, operation: str, *values: Any, clamp: bool = False) -> Any:
+        return self.put(self.made("Math", operation=operation, use_clamp=clamp), *values)
+
+    def vector(self, operation: str, *values: Any, output: Any = 0) -> Any:
+        return self.put(self.made("VectorMath", operation=operation), *values, output=output)
+
+    def ramp(self, value: Any, low: Any, high: Any, first: float = 0.0, last: float = 1.0, **settings: Any) -> Any:
+        """From ``first`` at ``low`` to ``last`` at ``high``."""
+        return self.put(self.made("MapRange", **settings), value, low, high, first, last)
+
+
+def _is_water(nodes: _Nodes) -> bool:
+    """Whether these are the nodes of the water's material, as Blender imports it."""
+    named = {node.attribute_name for node in nodes.of("ATTRIBUTE")}
+    return {DISPLAY_COLOUR, "roughness"} <= named and bool(nodes.of("UVMAP") and nodes.of("BSDF_PRINCIPLED"))
+
+
+def _thread_foam(nodes: _Nodes, clear: Sequence[float], foam: Sequence[float]) -> Any:
+    """Divide the water's foam, which the mesh has per point, into threads around holes; returns how white it is, 0 to
+    1, before that. ``clear``, ``foam``: the colours."""
+    (colour,) = (node for node in nodes.of("ATTRIBUTE") if node.attribute_name == DISPLAY_COLOUR)
+    (places,), (surface,) = nodes.of("UVMAP"), nodes.of("BSDF_PRINCIPLED")
     height: Any = 0.0
     for cells, weight in HOLES:
-        edges = made("TexVoronoi", voronoi_dimensions="2D", feature="DISTANCE_TO_EDGE")
+        edges = nodes.made("TexVoronoi", voronoi_dimensions="2D", feature="DISTANCE_TO_EDGE")
         edges.inputs["Scale"].default_value = cells
-        tree.links.new(places[0].outputs[0], edges.inputs["Vector"])
-        deep = put(made("MapRange"), (edges.outputs["Distance"], 0.0, 0.4, 0.0, weight))
-        height = put(made("Math", operation="ADD"), (height, deep))
+        nodes.tree.links.new(places.outputs[0], edges.inputs["Vector"])
+        height = nodes.math("ADD", height, nodes.ramp(edges.outputs["Distance"], 0.0, 0.4, 0.0, weight))
     most = sum(weight for _, weight in HOLES)
-    rank = put(made("MapRange"), (height, 0.15 * most, 0.85 * most, 1.0, 0.0))
-    red = put(made("SeparateColor"), (named[DISPLAY_COLOUR].outputs["Color"],))
-    white = put(made("MapRange"), (red, clear[0], foam[0], 0.0, 1.0))
-    both = put(made("Math", operation="ADD"), (white, rank))
-    dense = put(made("MapRange", interpolation_type="SMOOTHSTEP"), (both, *THREADED, 0.0, 1.0))
-    some = put(made("Math", operation="MULTIPLY", use_clamp=True), (white, 4.0))
-    shown = put(made("Math", operation="MULTIPLY"), (dense, some))
-    mixed = made("Mix", data_type="RGBA")
-    tree.links.new(shown, mixed.inputs[0])
+    rank = nodes.ramp(height, 0.15 * most, 0.85 * most, 1.0, 0.0)
+    red = nodes.put(nodes.made("SeparateColor"), colour.outputs["Color"])
+    white = nodes.ramp(red, clear[0], foam[0])
+    dense = nodes.ramp(nodes.math("ADD", white, rank), *THREADED, interpolation_type="SMOOTHSTEP")
+    shown = nodes.math("MULTIPLY", dense, nodes.math("MULTIPLY", white, 4.0, clamp=True))
+    mixed = nodes.made("Mix", data_type="RGBA")
+    nodes.tree.links.new(shown, mixed.inputs[0])
     mixed.inputs[6].default_value, mixed.inputs[7].default_value = (*clear, 1.0), (*foam, 1.0)
-    tree.links.new(mixed.outputs[2], shaders[0].inputs["Base Color"])
+    nodes.tree.links.new(mixed.outputs[2], surface.inputs["Base Color"])
+    return white
+
+
+def _shade_distant_waves(nodes: _Nodes, prim: Any, white: Any, rough: tuple[float, float]) -> None:
+    """Tilt the water's normals by the waves of the prim that its mesh does not carry, and make it as rough as those
+    that are too short for a picture. ``white``: of foam, 0 to 1; ``rough``: roughness of clear water and of foam."""
+    import numpy as np
+
+    given = {name: prim.GetAttribute(f"{WAVES}{name}").Get() for name in ("amplitude", "number", "phase", "turn")}
+    tile, carried, meshed = (prim.GetAttribute(f"{WAVES}{name}").Get() for name in ("tile", "carried", "meshed"))
+    amplitude, number, phase, turn = (np.array(values, float) for values in given.values())
+    steepness, length = (amplitude * np.hypot(*number.T)) ** 2 / 2, 2 * np.pi / np.hypot(*number.T)
+    cell, share = (nodes.made("Attribute", attribute_name=name).outputs["Fac"] for name in ("cell", "share"))
+    if not prim.HasAttribute("primvars:share"):
+        share = nodes.made("Value").outputs[0]
+        share.default_value = 1.0
+    place = nodes.put(nodes.made("SeparateXYZ"), nodes.of("UVMAP")[0].outputs[0])
+    time = nodes.made("Value")
+    time.outputs[0].driver_add("default_value").driver.expression = "frame"
+    at = nodes.put(nodes.made("CombineXYZ"), place, place.node.outputs[1], time.outputs[0])
+    towards = nodes.put(nodes.made("SeparateXYZ"), nodes.made("NewGeometry").outputs["Incoming"], output="Z")
+    away = nodes.made("CameraData").outputs["View Distance"]
+    pixel = nodes.math("DIVIDE", nodes.math("MULTIPLY", away, PIXEL), nodes.math("MAXIMUM", towards, 1e-3))
+    slopes: Any = (0.0, 0.0, 0.0)
+    unseen: Any = 0.0
+    kept = np.argsort(-steepness)[:SHADED]
+    bands = np.round(BANDS * np.log2(length)) + CHOP * (np.arange(len(length)) >= meshed)
+    for band in np.unique(bands):
+        here = np.flatnonzero(bands == band)
+        middle = float(np.exp((steepness[here] * np.log(length[here])).sum() / steepness[here].sum()))
+        missing = nodes.ramp(cell, middle / carried[1], middle / carried[0]) if band < CHOP else 1.0
+        drawn = [k for k in here if k in kept]
+        tilt: Any = (0.0, 0.0, 0.0)
+        for k in drawn:
+            way = nodes.vector("DOT_PRODUCT", at, (*(tile * number[k]), -turn[k]), output="Value")
+            swing = nodes.math("SINE", nodes.math("ADD", way, phase[k] % (2 * np.pi)))
+            tilt = nodes.vector("MULTIPLY_ADD", swing, (*(amplitude[k] * number[k]), 0.0), tilt)
+        clear = nodes.ramp(pixel, middle / VISIBLE[0], middle / VISIBLE[1], 1.0, 0.0)
+        part = nodes.math("MULTIPLY", missing, clear)
+        if drawn:
+            slopes = nodes.vector("MULTIPLY_ADD", tilt, part, slopes)
+        drawn_share = steepness[drawn].sum() / steepness[here].sum()
+        left = nodes.math("SUBTRACT", missing, nodes.math("MULTIPLY", part, drawn_share))
+        left = nodes.math("MULTIPLY", left, nodes.math("SUBTRACT", 2.0, left))  # 1 - (1 - left)^2
+        unseen = nodes.math("MULTIPLY_ADD", left, float(steepness[here].sum()), unseen)
+    (surface,) = nodes.of("BSDF_PRINCIPLED")
+    ripples = surface.inputs["Normal"].links[0].from_socket
+    tilted = nodes.vector("MULTIPLY_ADD", slopes, share, ripples)
+    nodes.tree.links.new(nodes.vector("NORMALIZE", tilted), surface.inputs["Normal"])
+    unseen = nodes.math("MULTIPLY", unseen, nodes.math("MULTIPLY", share, share))
+    clear = nodes.math("POWER", nodes.math("ADD", unseen, rough[0] ** 4), 0.25)
+    foamy = nodes.ramp(white, 0.0, 1.0, *rough)
+    nodes.tree.links.new(nodes.math("MAXIMUM", clear, foamy), surface.inputs["Roughness"])
+
+
+def _haze_over(nodes: _Nodes, sky: Any) -> None:
+    """Hide distant water behind the sky at the horizon, of the nodes ``sky`` of the world."""
+    pictures = [node for node in sky.nodes if node.type == "TEX_ENVIRONMENT"]
+    if not pictures:
+        return
+    (surface,), (end,) = nodes.of("BSDF_PRINCIPLED"), nodes.of("OUTPUT_MATERIAL")
+    (light,) = (node for node in sky.nodes if node.type == "BACKGROUND")
+    flat = nodes.vector(
+        "MULTIPLY_ADD", nodes.made("NewGeometry").outputs["Incoming"], (-1.0, -1.0, 0.0), (0.0, 0.0, LOW)
+    )
+    turned = nodes.made("Mapping")
+    for turn in pictures[0].inputs["Vector"].links:
+        for socket in turn.from_node.inputs[1:]:
+            turned.inputs[socket.name].default_value = socket.default_value
+    picture = nodes.made("TexEnvironment", image=pictures[0].image)
+    nodes.put(picture, nodes.put(turned, nodes.vector("NORMALIZE", flat)))
+    hazy = nodes.put(nodes.made("Emission"), picture.outputs["Color"], light.inputs["Strength"].default_value)
+    away = nodes.made("CameraData").outputs["View Distance"]
+    far = nodes.math("DIVIDE", away, HAZE)
+    clear = nodes.math("EXPONENT", nodes.math("MULTIPLY", nodes.math("MULTIPLY", far, far), -1.0))
+    mixed = nodes.put(nodes.made("MixShader"), clear, hazy, surface.outputs["BSDF"])
+    nodes.tree.links.new(mixed, end.inputs["Surface"])
 
 
 def _hide_empty_points(imported: Iterable[Any], opened: Any) -> None:

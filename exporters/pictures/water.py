@@ -7,6 +7,7 @@ by the light with which MuJoCo will multiply them. Everything is read from the s
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -39,6 +40,8 @@ EDGE = 4
 """Texels around the used part of the texture that repeat its border: smaller copies of the texture blend over it."""
 RIPPLES, RIPPLE_LENGTHS, RIPPLES_END = 18, (0.16, 1.8), 58.5
 """Ripples that only the texture has, their lengths m, and the distance up to which the last of them are visible, m."""
+TEXELS = (2.0, 4.0)
+"""Waves that only the texture has are visible with more texels per wave than the first, and fully with the second."""
 SLOPES, FAR = 0.22, (25.0, 160.0)
 """Effect of waves too distant to be distinguished: between the distances ``FAR``, m, more and more of the visible faces
 are tilted by up to ``SLOPES`` towards the eye. So a sea is darker than the sky at its horizon."""
@@ -115,7 +118,7 @@ class WaterView:
         assert stage.water is not None
         self._stage, self._light = stage, light
         self.shape = stage.water_net.shape
-        self._rest = TILE * stage.water_st()
+        self._rest, self._waves = TILE * stage.water_st(), stage.water_waves()
         self._size = max(int(TALL * width), self.shape[0] + 2 * EDGE), max(width, self.shape[1] + 2 * EDGE)
         self._time = float(stage.frames[0])
         self._points, self._normals, self._foam, self._lowered = stage.water_at(stage.frames[0])
@@ -224,7 +227,7 @@ class WaterView:
         fields = np.column_stack([self._points, self._normals, self._anchors(), self._foam])
         points, normals, rest, (foam,) = np.split(texels.between(fields), [3, 6, 8])
         away = _length(points[:2] - eye[:2, None])
-        normals[:2] -= self._small_slopes(points, away, texels.size)
+        normals[:2] -= self._small_slopes(points, away, texels.size) + self._distant_slopes(texels)
         normals /= _length(normals)
         view = eye[:, None] - points
         view /= np.maximum(_length(view), 1e-6)
@@ -258,6 +261,29 @@ class WaterView:
         drift = (place - self._rest).reshape(*self.shape, 2)
         around = np.stack([median_filter(drift[..., k], 5) for k in (0, 1)], axis=-1)
         return np.asarray(place - around.reshape(-1, 2))
+
+    def _distant_slopes(self, texels: Texels) -> Array:
+        """Slopes (2, m) of the waves that the mesh is too coarse to show, where texels can show them."""
+        waves, slopes = self._waves, np.zeros((2, len(texels.size)), np.float32)
+        if waves is None:
+            return slopes
+        x, y, cell, share = texels.between(np.column_stack([self._rest, waves.cell, waves.share]))
+        phase = (waves.phase - waves.turn * self._time) % (2 * np.pi)
+        length, rise = waves.lengths, (waves.amplitude[:, None] * waves.number).astype(np.float32)
+        ends = np.searchsorted(texels.rows, texels.ends[0])
+        for first, end in itertools.pairwise([0, *ends.tolist()]):
+            row = slice(first, end)
+            if first == end:
+                continue
+            carried = (length >= waves.carried[1] * cell[row].max()) & (np.arange(len(length)) < waves.meshed)
+            some = np.flatnonzero(~carried & (length > TEXELS[0] * texels.size[row].min()))
+            number = waves.number[some].astype(np.float32)
+            theta = np.outer(number[:, 0], x[row]) + np.outer(number[:, 1], y[row])
+            theta += phase[some, None].astype(np.float32)
+            clear = length[some, None].astype(np.float32) / texels.size[row] - TEXELS[0]
+            seen = np.clip(clear / (TEXELS[1] - TEXELS[0]), 0, 1) * share[row] * waves.missing(some, cell[row])
+            slopes[:, row] = -rise[some].T @ (seen * np.sin(theta))
+        return slopes
 
     def _small_slopes(self, points: Array, away: Array, size: Array) -> Array:
         """Slopes (2, m) of ripples, which fade with the distance, and where texels of ``size`` (m,) m cannot show

@@ -22,6 +22,7 @@ from vehsim.exporters.pictures.surfaces import Material as Material
 from vehsim.exporters.pictures.surfaces import read_surface as read_surface
 from vehsim.exporters.pictures.surfaces import surfaces_of
 from vehsim.exporters.usd.metadata import local_origin
+from vehsim.exporters.usd.scenery.distant_waves import DistantWaves, read_waves
 from vehsim.exporters.usd.scenery.water_grid import Net
 from vehsim.intake.foreign import reason_of
 from vehsim.intake.polygons import has_polygons, polygons
@@ -177,6 +178,14 @@ class StageReader:
 
         st = UsdGeom.PrimvarsAPI(self._stage.GetPrimAtPath(self.water)).GetPrimvar("st").Get()
         return self.water_net.of(np.array(st, float))
+
+    def water_waves(self) -> DistantWaves | None:
+        """The waves of the water's surface, with ``cell`` and ``share`` on its `water_net`; None if unknown."""
+        from pxr import UsdGeom
+
+        waves = read_waves(UsdGeom.Mesh(self._stage.GetPrimAtPath(self.water)))
+        on = self.water_net.of
+        return None if waves is None else waves._replace(cell=on(waves.cell), share=on(waves.share))
 
     def water_at(self, frame: float) -> tuple[Array, Array, Array, Array]:
         """Points (n, 3) m, unit normals (n, 3), foam (n,) of the water's surface on its `water_net` at a time code, and

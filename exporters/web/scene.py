@@ -20,6 +20,7 @@ from vehsim.audit.scene import can_hit, distances
 from vehsim.constants import GRAVITY
 from vehsim.exporters.pictures.render import HAZE, bounds_of, haze_end
 from vehsim.exporters.usd.sampling import clip_at
+from vehsim.exporters.usd.scenery.distant_waves import DistantWaves, distant_waves
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dome_mean, exposure_of, sky_image
 from vehsim.exporters.usd.scenery.tyre_marks import marks_of
@@ -46,6 +47,8 @@ LARGEST_TEXTURE = 2048
 JPEG_QUALITY = 88
 WATER_SAMPLES = 4_000_000
 """Points of the water's surface over all frames; a longer shot shows a coarser surface."""
+WATER_WAVES = 48
+"""Number of the steepest waves that the page's shading shows where the surface is too coarse."""
 WATER_STEP = 1e-3
 """Resolution of the water's points, m."""
 READABLE = {".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
@@ -280,7 +283,10 @@ def draw_water(take: Take, stage: StageReader, progress: Callable[[float], objec
             progress(k / len(frames))
             yield net.of(surface.points - stage.origin), net.of(surface.foam)
 
-    block = pack.block({"kind": "water", **_surface(pack, net.shape, net.of(grid.xy), shown(), len(frames))})
+    waves, on = distant_waves(take, grid), net.of
+    waves = None if waves is None else waves._replace(cell=on(waves.cell), share=on(waves.share))
+    surface = _surface(pack, net.shape, net.of(grid.xy), shown(), frames, waves)
+    block = pack.block({"kind": "water", **surface})
     return DrawnWater(block, grid, stage.origin, _stirred(take))
 
 
@@ -461,7 +467,7 @@ def _water(pack: Packing, take: Take, stage: StageReader) -> dict[str, Any]:
     drawn = frames if take.usd.moving_water else frames[:1]
     shown = ((points, foam) for points, _, foam, _ in map(stage.water_at, drawn.tolist()))
     return {
-        **_surface(pack, stage.water_net.shape, TILE * stage.water_st(), shown, len(frames)),
+        **_surface(pack, stage.water_net.shape, TILE * stage.water_st(), shown, frames, stage.water_waves()),
         "ripples": {"type": "image/png", **pack.content(ripples())},
         "tile": TILE,
         "clear": CLEAR.tolist(),
@@ -471,14 +477,20 @@ def _water(pack: Packing, take: Take, stage: StageReader) -> dict[str, Any]:
 
 
 def _surface(
-    pack: Packing, shape: tuple[int, int], rest: Array, shown: Iterable[tuple[Array, Array]], count: int
+    pack: Packing,
+    shape: tuple[int, int],
+    rest: Array,
+    shown: Iterable[tuple[Array, Array]],
+    frames: Array,
+    waves: DistantWaves | None,
 ) -> dict[str, Any]:
     """A moving surface in steps of `WATER_STEP`, as second differences over time, which compress to a few bits.
 
-    ``shown``: its points (n, 3) m and foam (n,) on a net of ``shape``, for ``count`` frames; ``rest`` (n, 2) m: the
-    points at rest.
+    ``shown``: its points (n, 3) m and foam (n,) on a net of ``shape``, at ``frames``; ``rest`` (n, 2) m: the points at
+    rest; ``waves``: those that shading adds.
     """
     rows, cols = shape
+    count = len(frames)
     halvings = (2**k for k in range(7))  # columns are a multiple of 16, and one more
     every = next(k for k in halvings if -(-rows // k) * -(-cols // k) * count <= WATER_SAMPLES or k == 64)
     chosen = np.arange(rows * cols).reshape(rows, cols)[::every, ::every]
@@ -491,12 +503,34 @@ def _surface(
     bends = np.diff(moved, n=2, axis=0, prepend=np.zeros((2, *moved.shape[1:])))
     step = max(WATER_STEP, float(np.abs(bends).max()) / 30_000)  # they are stored in 16 bits
     steps = np.round(moved / step).astype(np.int32)
+    shaded = (
+        {}
+        if waves is None
+        else _shaded(pack, waves, np.column_stack([rest, waves.cell, waves.share])[chosen.ravel()], frames)
+    )
     return {
+        **shaded,
         "shape": list(chosen.shape),
         "step": step,
         "start": pack.array(points[0], "f4"),
         "bends": pack.array(np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *moved.shape[1:]), np.int32)), "i2"),
         "foam": pack.array(np.round(255 * foam), "u1"),
+    }
+
+
+def _shaded(pack: Packing, waves: DistantWaves, places: Array, frames: Array) -> dict[str, Any]:
+    """The steepest waves for the page's shading, and the ``places`` (n, 4) of the surface's points: at rest, the length
+    of the cells there, m, and the share that moles leave."""
+    steepest = np.argsort(-waves.steepness, kind="stable")[:WATER_WAVES]
+    step = frames[1] - frames[0] if len(frames) > 1 else 1.0
+    only = np.arange(len(waves.amplitude)) >= waves.meshed
+    rows = np.column_stack(
+        [waves.number, waves.phase - waves.turn * frames[0], waves.turn * step, waves.amplitude, only]
+    )
+    return {
+        "waves": rows[steepest].tolist(),
+        "carried": waves.carried.tolist(),
+        "places": pack.array(places, "f4"),
     }
 
 

@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 from vehsim.exporters import blender
 from vehsim.exporters.usd.exporter import write_usd
 from vehsim.exporters.usd.readback import world_matrices
+from vehsim.exporters.usd.scenery.water_material import TILE, author_coordinates, author_foam, bind_material, set_foam
 
 MADE = Path(__file__).parents[2] / ".blender" / "bin" / "python"
 """The Python with Blender's module that `make blender` installs."""
@@ -343,34 +345,30 @@ for node in bpy.data.materials["glass"].node_tree.nodes:
     assert seen == pytest.approx({"Alpha": 0.45, "Transmission Weight": 0.0})
 
 
-@needs_blender
-def test_foam_has_threads_and_holes_in_blender(tmp_path):
-    """The stage has it per point of the water's mesh: here four points with as much of it, seen from above."""
-    from PIL import Image
-    from pxr import Usd, UsdGeom
-
-    from vehsim.exporters.usd.scenery.water_material import author_coordinates, author_foam, bind_material, set_foam
-
-    path, picture = tmp_path / "layers" / "sea.usda", tmp_path / "foam.png"
+def flat_water(path, half):
+    """A stage with a square of water, and its mesh of four points."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/sea").GetPrim())
     mesh = UsdGeom.Mesh.Define(stage, "/sea/env/water/surface")
-    xy = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
+    xy = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     mesh.CreatePointsAttr([(x, y, 0.0) for x, y in xy.tolist()])
     mesh.CreateFaceVertexCountsAttr([4])
     mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
     author_foam(mesh)
     author_coordinates(mesh, xy)
-    bind_material(stage, mesh, tmp_path)
-    for frame, foam in ((1, 0.0), (2, 0.5)):
-        set_foam(stage.GetRootLayer(), "/sea/env/water/surface", frame, np.full(4, foam), np.zeros(4))
-    stage.Save()
-    render = f"""
-above = bpy.data.objects.new("above", bpy.data.cameras.new("above"))
-scene.collection.objects.link(above)
-above.location, scene.camera = (0, 0, 6), above
+    bind_material(stage, mesh, path.parents[1])
+    return stage, mesh
+
+
+def pictures_of_water(place, tilt, picture):
+    """A script for Blender that renders frames 1 and 2 below a white sky, from a place, tilted up from straight down by
+    an angle, rad."""
+    return f"""
+seen = bpy.data.objects.new("seen", bpy.data.cameras.new("seen"))
+scene.collection.objects.link(seen)
+seen.location, seen.rotation_euler, scene.camera = {place}, ({tilt}, 0, 0), seen
 scene.world.use_nodes = True
 scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1, 1, 1, 1)
 scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "CYCLES", 96, 96
@@ -380,10 +378,44 @@ for frame in (1, 2):
     scene.render.filepath = {str(picture)!r} + str(frame)
     bpy.ops.render.render(write_still=True)
 about = None"""
+
+
+@needs_blender
+def test_foam_has_threads_and_holes_in_blender(tmp_path):
+    """The stage has it per point of the water's mesh: here four points with as much of it, seen from above."""
+    from PIL import Image
+
+    path, picture = tmp_path / "layers" / "sea.usda", tmp_path / "foam"
+    stage, _ = flat_water(path, 3.0)
+    for frame, foam in ((1, 0.0), (2, 0.5)):
+        set_foam(stage.GetRootLayer(), "/sea/env/water/surface", frame, np.full(4, foam), np.zeros(4))
+    stage.Save()
+    render = pictures_of_water((0, 0, 6), 0.0, picture)
     matrices(f"scene = blender.open_stage({str(path)!r})", [], [], render)
     clear, foamy = (np.asarray(Image.open(f"{picture}{k}.png").convert("L"), float) / 255 for k in (1, 2))
     assert clear.max() < 0.3
     assert 0.2 < (foamy > 0.5).mean() < 0.7 and (foamy < 0.3).mean() > 0.2
+
+
+@needs_blender
+def test_blender_shades_the_waves_that_the_mesh_is_too_coarse_to_show(tmp_path):
+    """A flat square in one cell has the stripes of a wave, which move with the frames."""
+    from PIL import Image
+
+    from vehsim.exporters.usd.scenery.distant_waves import DistantWaves, author_waves
+
+    path, picture = tmp_path / "layers" / "sea.usda", tmp_path / "waves"
+    stage, mesh = flat_water(path, 30.0)
+    for frame in (1, 2):
+        set_foam(stage.GetRootLayer(), "/sea/env/water/surface", frame, np.zeros(4), np.zeros(4))
+    wave = np.array([0.12]), np.array([[0.0, 2 * np.pi / 6]]), np.zeros(1), np.array([np.pi])  # half a length a frame
+    author_waves(mesh, DistantWaves(*wave, np.full(4, 60.0), np.ones(4), np.array([2.0, 2.5]), 1), TILE)
+    stage.Save()
+    matrices(f"scene = blender.open_stage({str(path)!r})", [], [], pictures_of_water((0, -22, 12), 1.1, picture))
+    first, second = (np.asarray(Image.open(f"{picture}{k}.png").convert("L"), float)[30:].mean(axis=1) for k in (1, 2))
+    trend = (first + second) / 2
+    assert (first - trend).std() > 3
+    assert np.corrcoef(first - trend, second - trend)[0, 1] < -0.9  # the crests are where the troughs were
 
 
 @needs_blender

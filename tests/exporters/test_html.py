@@ -251,6 +251,13 @@ def test_water_moves_as_on_the_stage(toys, tmp_path, monkeypatch, most, form):
     assert alone.header["shape"] == water["shape"]
     np.testing.assert_allclose(_moved(alone, alone.header), shown, atol=1.01 * water["step"] + 1e-4)
     np.testing.assert_allclose(alone.array(alone.header["foam"]), block.array(water["foam"]), atol=2)
+    for each, frames in ((block, water), (alone, alone.header)):
+        kx, ky, phase, turn, height, only = frames["waves"][0]  # a single wave, at rest places
+        places = each.array(frames["places"]).reshape(-1, 4)
+        swing = height * np.cos(places[:, :2] @ [kx, ky] + phase - 5 * turn)
+        fine = places[:, 2] < 4.0  # in cells of a sixth of the wave
+        assert not only and fine.sum() > 50
+        np.testing.assert_allclose(swing[fine], shown[5][fine, 2], atol=0.02)
 
     def with_clip(clip):
         return replace(take, clips={"toy0": clip})

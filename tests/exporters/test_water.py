@@ -17,7 +17,7 @@ from vehsim.exporters.checks.validate import validate_stage
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.water import places_of
-from vehsim.exporters.usd.scenery import wake, water_grid
+from vehsim.exporters.usd.scenery import distant_waves, wake, water_grid
 from vehsim.exporters.usd.scenery import water as authored
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
 from vehsim.exporters.usd.scenery.water_material import PERIOD, TILE
@@ -234,7 +234,7 @@ def test_it_is_small_and_valid_and_reaches_the_horizon(shown):
     stage = Usd.Stage.Open(str(path))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/sea/env/water/surface"))
     low, high = np.array(mesh.GetExtentAttr().Get())
-    assert low[:2].max() < -1000 and high[:2].min() > 1000
+    assert low[:2].max() < -5000 and high[:2].min() > 5000
     assert mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
 
 
@@ -521,7 +521,7 @@ def test_a_distant_sea_has_its_relief(seed):
     for near, far, least in ((0, 20, 0.998), (35, 50, 0.995), (80, 150, 0.98)):
         ring = (distance > near) & (distance < far)
         length = 2 * np.pi / np.hypot(*sea.number.T)
-        carried = length > authored.CARRIED[1] * grid.cells[ring].max()
+        carried = length > distant_waves.CARRIED[1] * grid.cells[ring].max()
         long = Waves(sea.amplitude[carried], sea.number[carried], sea.phase[carried], sea.choppiness)
         for waves, kept in ((sea, least), (long, 0.998)):
             water, mesh, simulated = Water(surface=waves), [], []
@@ -531,6 +531,47 @@ def test_a_distant_sea_has_its_relief(seed):
                 mesh.append(points[:, 2])
                 simulated.append(water.height(points[:, :2], t))
             assert kept < np.std(mesh) / np.std(simulated) < 1.01
+
+
+def test_the_stage_has_its_waves_as_numbers(tmp_path):
+    """Their sum at the mesh's rest places is the water's surface, behind a mole and at any frame."""
+    clip = straight(0.0, 0.1)
+    mole = np.array([[20.0, -30.0], [20.0, 30.0]])
+    sea = together(sea_state(0.8, seed=4), wave(0.3, 30.0), choppiness=0.0, moles=[mole])
+    take = Take("sea", {"boat": clip}, World(water=Water(surface=sea)), (), Fraction(FPS), (1001, 1002))
+    stage = StageReader(take.export(tmp_path, to=("usd",)) / "sea.usda")
+    waves, rest = stage.water_waves(), TILE * stage.water_st()
+    near = np.hypot(*rest.T) < 200
+    theta = rest[near] @ waves.number.T + waves.phase
+    for frame in (1001, 1002):
+        every = np.cos(theta - waves.turn * frame) * waves.amplitude
+        height = waves.share[near] * every[:, : waves.meshed].sum(axis=1)
+        expected = take.world.water.height(rest[near], (frame - 1001) / FPS)
+        np.testing.assert_allclose(height, expected, atol=2e-3)
+    assert waves.share.min() < 0.8
+    lengths = waves.lengths
+    chop = lengths[waves.meshed :]
+    assert len(chop) and chop.min() > 1.5 and chop.max() < lengths[: waves.meshed].min()
+
+
+def test_shading_shows_the_waves_that_the_mesh_does_not(tmp_path, monkeypatch):
+    """From a mast, a swell has rows up to the haze; nothing is added to those that the mesh has."""
+    clip = straight(0.0, 0.1)
+    world = World(water=Water(surface=wave(0.9, 22.0)))
+    rig = CameraRig(name="mast", rig="static", position=(-150.0, 0.0, 40.0))
+    camera = solve_camera(rig, {"boat": clip}, world, (1001, 1002))
+    take = Take("sea", {"boat": clip}, world, (camera,), Fraction(FPS), (1001, 1002), RenderSettings((640, 360)))
+    stage = StageReader(take.export(tmp_path, to=("usd",)) / "sea.usda")
+    pictures = []
+    for _ in range(2):
+        with StageRenderer(stage, (640, 360)) as renderer:
+            pictures.append(renderer.render("mast", 1001).astype(float).mean(axis=2))
+            depth = renderer.passes("mast", 1001, ["depth"])["depth"]
+        monkeypatch.setattr(StageReader, "water_waves", lambda self: None)
+    added, far = (pictures[0] - pictures[1])[:, 300:340], np.where(depth > 0, depth, np.inf)[:, 300:340]
+    assert np.abs(added[far < 240]).max() < 1
+    beyond = (far > 360) & (far < 460)
+    assert beyond.sum() > 500 and added[beyond].std() > 4
 
 
 def test_twenty_boats_share_a_sea_as_fine_as_ones():
@@ -609,7 +650,7 @@ def test_water_flows_with_the_points_of_its_surface(shown):
         return (1 - v) * upper + v * ((1 - u) * image[i + 1, j] + u * image[i + 1, j + 1])
 
     visible = np.abs(between(depth)[:, 0] - away[there]) < 0.1
-    assert visible.sum() > 200
+    assert visible.sum() > 150
     found = between(flow)[visible]
     for k, step in enumerate((1, -1)):
         columns, rows, _ = seen(stage.water_at(frame + step)[0][there][visible], frame + step)

@@ -16,10 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.exporters.usd.metadata import author_origin, author_stage_metadata
+from vehsim.exporters.usd.scenery.distant_waves import (
+    author_waves,
+    carried,
+    distant_waves,
+    first_frame,
+    unseen_slopes,
+)
 from vehsim.exporters.usd.scenery.spray import Drops, Spray, author_spray
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Raised, Wake, clip_matrices
 from vehsim.exporters.usd.scenery.water_grid import Grid, lay_grid
 from vehsim.exporters.usd.scenery.water_material import (
+    TILE,
     author_coordinates,
     author_foam,
     bind_material,
@@ -40,9 +48,6 @@ Array = NDArray[np.float64]
 
 BEYOND = 10.0
 """Width within which a liquid solver's water falls to its level beyond its grid, m."""
-CARRIED = (2.0, 2.5)
-"""Cells per wave: from the second on, the mesh carries a wave as it is; below the first, it shows none of it. Flat
-cells show a wave smaller than it is, so what fades sooner would be further from the sea; see docs/derivations.md."""
 RESOLVED = 1.6
 """Cells longer than this show less of a surface whose waves are unknown, so that distant water is not jagged, m."""
 LOWERED = "lowered"
@@ -79,7 +84,10 @@ def write_water(take: Take, folder: Path, progress: Callable[[float], object] = 
     primvars.CreatePrimvar("normals", Sdf.ValueTypeNames.Normal3hArray, UsdGeom.Tokens.vertex)
     points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
     author_foam(mesh)
-    author_coordinates(mesh, grid.xy)
+    near = author_coordinates(mesh, grid.xy)
+    waves = distant_waves(take, grid, near)
+    if waves is not None:
+        author_waves(mesh, waves, TILE)
     picture = bind_material(stage, mesh, folder)
     rest = np.column_stack([grid.xy, np.full(len(grid.xy), water.level)])
     origin = author_origin(mesh, rest.mean(axis=0))
@@ -87,7 +95,7 @@ def write_water(take: Take, folder: Path, progress: Callable[[float], object] = 
     frames = np.arange(take.frames[0], take.frames[1] + 1, dtype=float)
     frames = frames if take.usd.moving_water else frames[:1]
     spray: list[Drops] = []
-    slopes = _unseen_slopes(water, grid)
+    slopes = unseen_slopes(water, grid)
     for k, (frame, shown) in enumerate(zip(frames.tolist(), surfaces(take, grid, frames), strict=True)):
         place, normals, foam, lowered, drops = shown
         progress(k / len(frames))
@@ -137,7 +145,7 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
     wake = Wake(stirring, frames, fps) if stirring else None
     trails = Foam(stirring, xy, frames, fps)
     wakes: Iterable[Raised | None] = repeat(None, len(frames)) if wake is None else wake.heights()
-    start = min((clip.start_frame for clip in take.clips.values()), default=take.frames[0])
+    start = first_frame(take)
     breaking = _breaking(take) if take.usd.moving_water else None
     sea, whitecaps = _undisturbed(water, grid), None if breaking is None else _whitecaps(take, grid, breaking)
     spray = Spray(afloat, water, breaking, grid, take.world.wind, start, fps) if take.usd.spray else None
@@ -190,34 +198,18 @@ def _undisturbed(water: Water, grid: Grid) -> Callable[[float], Array]:
         return lambda t: np.column_stack([xy, water.level + share * (water.height(inside, t) - water.level)])
     if not isinstance(waves, Waves):
         return lambda t: np.column_stack([xy, water.height(xy, t)])
-    theta, carried = xy @ waves.number.T + waves.phase, _carried(waves, grid)
-    cos, sin = carried * np.cos(theta), carried * np.sin(theta)
+    theta, left = xy @ waves.number.T + waves.phase, carried(waves, grid)
+    cos, sin = left * np.cos(theta), left * np.sin(theta)
 
     def at(t: float) -> Array:
         turn = np.exp(1j * waves.omega * t) * waves.amplitude  # cos(theta - w t), sin(theta - w t)
         shift = waves.choppiness * waves.along
         z = cos @ turn.real + sin @ turn.imag
         drift = sin @ (turn.real[:, None] * shift) - cos @ (turn.imag[:, None] * shift)
-        left = waves.share(xy - waves.share(xy) * drift)
-        return np.column_stack([xy - left * drift, water.level + left[:, 0] * z])
+        sheltered = waves.share(xy - waves.share(xy) * drift)
+        return np.column_stack([xy - sheltered * drift, water.level + sheltered[:, 0] * z])
 
     return at
-
-
-def _carried(waves: Waves, grid: Grid) -> Array:
-    """Share (n, k) of each wave that the mesh shows at each of its points."""
-    least, most = CARRIED
-    turns = np.maximum(*(np.abs(step @ waves.number.T) for step in grid.steps))  # of phase from point to point
-    return np.asarray(np.clip((2 * np.pi / np.maximum(turns, 1e-9) - least) / (most - least), 0.0, 1.0))
-
-
-def _unseen_slopes(water: Water, grid: Grid) -> Array:
-    """Mean square slope (n,) of the waves that the mesh does not show."""
-    waves = water.surface
-    if not isinstance(waves, Waves):
-        return np.zeros(len(grid.xy))
-    each = (waves.amplitude * np.hypot(*waves.number.T)) ** 2 / 2
-    return np.asarray(waves.share(grid.xy)[:, 0] ** 2 * ((1 - _carried(waves, grid) ** 2) @ each))
 
 
 def floating(take: Take, frames: Array) -> dict[str, Floating]:

@@ -33,8 +33,9 @@ FINE_BORDER = 6.0
 """Margin of the fine grid around the vehicles' paths and the nearest cameras, m."""
 SEEN = 30.0
 """Cameras closer than this to a path extend the fine grid, m."""
-HORIZON = 1500.0
-"""Distance of the surface's edge beyond the fine grid, m."""
+HORIZON, BEYOND, WIDER = 1500.0, 6000.0, 2.5
+"""Distance up to which cells grow evenly beyond the fine grid, m, that of the surface's edge, and how many times longer
+rows between the two are than the row before. Seen from a mast, a nearer edge is below the horizon, and tilted."""
 GROWTH = 0.05
 """Side of a cell along its row, per metre beyond the fine grid: a sea of 2 m keeps 98 % of its height up to 150 m from
 the boat."""
@@ -274,6 +275,9 @@ def _laid(sides: Array, cell: float, origin: Array, axes: Array) -> Grid:
         counts.append(counts[-1] // 2 if close else counts[-1])
         further = wanted * (1 + (ACROSS - 1) * min(1.0, (distances[-1] - reach) / reach))
         distances.append(distances[-1] + further)
+    while distances[-1] < reach + BEYOND:
+        counts.append(counts[-1])
+        distances.append(distances[-1] + WIDER * (distances[-1] - distances[-2]))
     return Grid(half, np.array(distances), np.array(counts), origin, axes)
 
 

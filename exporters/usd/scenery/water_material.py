@@ -139,15 +139,19 @@ def _lace() -> NDArray[np.float32]:
     return rank.reshape(LACE, LACE)
 
 
-def author_coordinates(mesh: Any, xy: Array) -> None:
-    """Texture coordinates ``st`` of the surface: the rest positions of its points (n, 2) m, in tiles of ripples. They
-    count from a place nearby at which all its pictures start, because they are stored in single precision."""
+def author_coordinates(mesh: Any, xy: Array) -> Array:
+    """Texture coordinates ``st`` of the surface: the rest positions of its points (n, 2) m, in tiles of ripples.
+
+    They count from a place nearby at which all its pictures start, because they are stored in single precision;
+    returns that place (2,) m.
+    """
     from pxr import Sdf, UsdGeom, Vt
 
     primvars = UsdGeom.PrimvarsAPI(mesh)
     st = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
-    nearby = xy - PERIOD * np.round(xy.mean(axis=0) / PERIOD)
-    st.Set(Vt.Vec2fArray.FromNumpy((nearby / TILE).astype(np.float32)))
+    start = PERIOD * np.round(xy.mean(axis=0) / PERIOD)
+    st.Set(Vt.Vec2fArray.FromNumpy(((xy - start) / TILE).astype(np.float32)))
+    return np.asarray(start)
 
 
 @lru_cache(maxsize=1)

@@ -332,6 +332,7 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
         normalMap: this.texture(given.ripples), normalScale: new THREE.Vector2(1.6, 1.6),
       });
       material.userData = { tile: given.tile, clear: given.clear, white: given.white };
+      if (given.waves) addDistantWaves(material, given.waves.length);
       return material;
     }
 
@@ -961,6 +962,12 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
         uv[2 * k + 1] = this.start[3 * k + 1] / tile;
       }
       this.geometry.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
+      this.waves = material.userData.waves && given.waves;
+      if (this.waves) {
+        this.geometry.setAttribute("water", new THREE.BufferAttribute(new Float32Array(array(given.places)), 4));
+        material.userData.carried.value.set(...given.carried);
+        this.uniforms = material.userData;
+      }
       const faces = [];
       for (let r = 0; r + 1 < rows; r++)
         for (let c = 0; c + 1 < cols; c++) {
@@ -978,6 +985,11 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
     show(index) {
       const frame = Math.min(index, this.foam.length / this.count - 1);
       const places = this.place.array, colours = this.colour.array, row = 3 * this.count, at = row * frame;
+      if (this.waves)
+        for (let i = 0; i < this.uniforms.waves.value.length / 4; i++) {
+          const [kx, ky, phase, turn, amplitude, only] = this.waves[i] || [1, 0, 0, 0, 0, 0];
+          this.uniforms.waves.value.set([kx, ky, (phase - turn * frame) % (2 * Math.PI), only ? -amplitude : amplitude], 4 * i);
+        }
       for (let k = 0; k < row; k++) places[k] = this.start[k] + this.step * this.steps[at + k];
       for (let k = 0; k < this.count; k++) {
         const share = this.foam[this.count * frame + k] / 255;
@@ -986,6 +998,35 @@ const vehsim = { keys: [] }; // keys and what they do, beside those of the viewe
       this.place.needsUpdate = this.colour.needsUpdate = true;
       this.geometry.computeVertexNormals();
     }
+  }
+
+  /** Let a material of water add to its normals the waves that its mesh is too coarse to show, as other pictures do. */
+  function addDistantWaves(material, count) {
+    const waves = { value: new Float32Array(4 * count) }; // wave vector, phase, height
+    const carried = { value: new THREE.Vector2() }; // cells per wave: below the first none of it is in the mesh
+    Object.assign(material.userData, { waves, carried });
+    material.onBeforeCompile = (shader) => {
+      Object.assign(shader.uniforms, { waves, carried });
+      shader.vertexShader = shader.vertexShader
+        .replace("#include <common>", "#include <common>\nattribute vec4 water; varying vec4 vWater;")
+        .replace("#include <begin_vertex>", "#include <begin_vertex>\nvWater = water;");
+      shader.fragmentShader = shader.fragmentShader
+        .replace("#include <common>", `#include <common>
+          uniform vec4 waves[${count}]; uniform vec2 carried; varying vec4 vWater;`)
+        .replace("#include <normal_fragment_maps>", `#include <normal_fragment_maps>
+          vec2 slope = vec2(0.0);
+          float pixel = max(length(dFdx(vWater.xy)), length(dFdy(vWater.xy)));
+          for (int i = 0; i < ${count}; i++) {
+            vec2 k = waves[i].xy;
+            float size = 6.2831853 / max(length(k), 1e-6);
+            float missing = 1.0; // a negative height: the mesh never shows it
+            if (waves[i].w > 0.0) missing -= clamp((size / vWater.z - carried.x) / (carried.y - carried.x), 0.0, 1.0);
+            float clear = clamp(0.5 * size / pixel - 1.0, 0.0, 1.0); // two to four pixels per wave
+            if (missing * clear > 0.0)
+              slope -= missing * clear * abs(waves[i].w) * sin(dot(k, vWater.xy) + waves[i].z) * k;
+          }
+          normal = normalize(normal - vWater.w * (viewMatrix * vec4(slope, 0.0, 0.0)).xyz);`);
+    };
   }
 
   // ---------------------------------------------------------------- tyre marks
