@@ -158,8 +158,8 @@ def _window(terrain: Any, low: Array, high: Array) -> tuple[slice, slice]:
     """Rows and columns of all cells between ``low`` and ``high`` (2,) m; beyond the borders, the closest cells."""
     cell, origin = np.asarray(terrain.cell), np.asarray(terrain.origin)
     last = np.array(terrain.heights.shape[::-1]) - 1
-    first = np.clip(np.floor((low - origin) / cell), 0, last).astype(int)
-    end = np.clip(np.ceil((high - origin) / cell), 0, last).astype(int) + 1
+    first = _between(np.floor((low - origin) / cell), last).astype(int)
+    end = _between(np.ceil((high - origin) / cell), last).astype(int) + 1
     return slice(first[1], end[1]), slice(first[0], end[0])
 
 
@@ -225,7 +225,7 @@ def _cells(terrain: Any, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64
     """Row, column and triangle (the right or the left one), (n,) each, of the ground at ``xy`` (n, 2)."""
     most = np.array(terrain.heights.shape[::-1]) - 2
     grid = (xy - np.asarray(terrain.origin)) / np.asarray(terrain.cell)
-    first = np.clip(np.floor(grid), 0, most).astype(int)
+    first = _between(np.floor(grid), most).astype(int)
     u, v = (grid - first).T
     return first[:, 1], first[:, 0], u >= v
 
@@ -234,13 +234,18 @@ def _plane(terrain: Any, row: Any, col: Any, right: Any, xy: Array) -> tuple[Arr
     """Gradient (n, 2) of triangles, and height (n,) m of their planes at ``xy`` (n, 2); level beyond the borders."""
     heights, origin, cell = terrain.heights, np.asarray(terrain.origin), np.asarray(terrain.cell)
     last = np.array(heights.shape[::-1]) - 1
-    row, col = np.clip(row, 0, last[1] - 1), np.clip(col, 0, last[0] - 1)
+    row, col = _between(row, last[1] - 1), _between(col, last[0] - 1)
     a, b, c, d = (heights[row + i, col + k] for i in (0, 1) for k in (0, 1))
     rise = np.stack([np.where(right, b - a, d - c), np.where(right, d - b, c - a)], axis=1)
     grid = (xy - origin) / cell
-    inside = np.clip(grid, 0, last)
+    inside = _between(grid, last)
     height = a + (rise * (inside - np.stack([col, row], axis=1))).sum(axis=1)
     return np.where(grid == inside, rise / cell, 0.0), height
+
+
+def _between(values: Any, most: Any) -> Any:
+    """``values`` between 0 and ``most``: ``np.clip`` in half the time."""
+    return np.minimum(np.maximum(values, 0), most)
 
 
 def _upward(gradients: Array) -> Array:

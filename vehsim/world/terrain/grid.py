@@ -167,7 +167,7 @@ class HeightGrid:
         point."""
         rows, cols = self.heights.shape
         u, v = ((xy[:, axis] - self.origin[axis]) / self.cell[axis] for axis in (0, 1))
-        return np.clip(u, 0, cols - 1, out=u), np.clip(v, 0, rows - 1, out=v)
+        return np.minimum(np.maximum(u, 0), cols - 1), np.minimum(np.maximum(v, 0), rows - 1)
 
     @cached_property
     def _row_by_row(self) -> Array:
