@@ -23,6 +23,7 @@ from vehsim.exporters.web.html import PAGE
 from vehsim.lie.quaternions import matrices
 from vehsim.shot import Shot
 from vehsim.world.obstacles.obstacles import footprint
+from vehsim.world.water.sea import sea_state
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
@@ -287,6 +288,16 @@ def test_a_browser_shows_it(delivered, tmp_path):
     assert re.search(r'<div id="title"><b>shot</b>\s+1001</div>', document)
     assert re.findall(r'title="toy0: mark at ([^"]*)"', document) == ["1001", "1018"]
     assert re.findall(r'class="note"[^>]* title="([^"]*)"', document) == ["1005: &lt;/script&gt;slow", "1020: late"]
+
+
+def test_a_browser_shows_waves(toys, tmp_path, monkeypatch):
+    monkeypatch.setattr("vehsim.exporters.usd.scenery.water_grid.MOST_POINTS", 3000)
+    clips = {"toy0": toys.clip(toys.asset(tmp_path / "toy.usda"))}
+    world = World(water=Water(surface=sea_state(0.6)))
+    camera = solve_camera(CameraRig(), clips, world, toys.frames)
+    take = Take("shot", clips, world, (camera,), Fraction(24), toys.frames)
+    document = opened(take.export(tmp_path, to=("html",)) / "shot.html", tmp_path, "--virtual-time-budget=20000")
+    assert '<div id="message" hidden="">' in document, re.findall(r'<div id="message"[^<]*', document)
 
 
 def test_is_near_its_origin_at_utm_coordinates(delivered, tmp_path):
