@@ -12,7 +12,7 @@ from hulls import FORMS, box, floating, join, lofted, sphere
 from vehsim.constants import GRAVITY
 from vehsim.vehicles import State
 from vehsim.world.water.buoyancy import Afloat
-from vehsim.world.water.potential import response
+from vehsim.world.water.potential import _potentials, response
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
@@ -32,6 +32,14 @@ def test_added_mass_of_a_sphere():
     np.testing.assert_allclose(half.added[:3], 0, atol=1e-3)
     spin = half.twist(np.cross([0.3, -0.2, 0.5], half.points))
     np.testing.assert_allclose(spin, 0, atol=1e-3)
+
+
+def test_a_panel_may_have_its_middle_on_the_edge_of_another():
+    """Slivers of a barge's capped end: its simulation ended with "SVD did not converge"."""
+    triangle = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
+    on, beside = (_potentials(triangle, np.array([[0.75, y, 0.0]]))[0] for y in (0.0, 1e-9))
+    np.testing.assert_allclose(on, beside, rtol=1e-6)
+    assert on > 0
 
 
 @pytest.mark.parametrize("name", STORED["hulls"])

@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 WEAK = 1e-4
 """Modes that set less water in motion than this share of the strongest are not excited by waves, such as the rotation
 of a sphere. Rotations are compared over half of the hull's size."""
+ON_EDGE = 1e-15
+"""A point on an edge counts as this far from it, over its length: the integral is continuous there, its logarithm is
+not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,5 +87,6 @@ def _potentials(corners: Array, points: Array) -> tuple[Array, Array]:
         length = np.linalg.norm(edge, axis=1)
         outward = np.cross(edge, unit) / length[:, None]
         ends = reach[:, :, k] + reach[:, :, (k + 1) % 3]
-        single += np.einsum("pni,ni->pn", arms[:, :, k], outward) * np.log((ends + length) / (ends - length))
+        beyond = np.maximum(ends - length, ON_EDGE * length)
+        single += np.einsum("pni,ni->pn", arms[:, :, k], outward) * np.log((ends + length) / beyond)
     return single, angle
