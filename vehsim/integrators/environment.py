@@ -79,7 +79,7 @@ class Nothing(Environment):
         return np.zeros(self._size)
 
 
-SPACING = 1 / 8
+SPACING = 1 / 7
 """Time between two evaluations of a `Spaced` environment, over its own longest step."""
 
 
