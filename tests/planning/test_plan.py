@@ -176,11 +176,11 @@ def test_easy_problems_are_solved_at_once(name, heading, order, monkeypatch):
     np.testing.assert_allclose(made[0].clip.positions, made[1].clip.positions, atol=1e-4)
 
 
-def test_patience_ends_halfway_if_constraints_are_missed_by_far():
-    from vehsim.planning.problem.solver import ENDLESS, Patience
+def test_patience_ends_early_if_constraints_are_missed_by_far():
+    from vehsim.planning.problem.solver import EARLY, ENDLESS, Patience
 
-    patience = Patience(20, halfway=1e-2)
-    assert next(k for k in range(1, 30) if patience.ends(k, lambda: 0.1)) == 10
+    patience = Patience(20, early=1e-2)
+    assert next(k for k in range(1, 30) if patience.ends(k, lambda: 0.1)) == EARLY
     assert next(k for k in range(1, 30) if patience.ends(k, lambda: 1e-3)) == 21
     assert not any(ENDLESS.ends(k, lambda: 0.1) for k in range(1000))
 

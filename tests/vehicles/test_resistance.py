@@ -6,6 +6,7 @@ import shutil
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import vehsim
 from vehsim.errors import InputError
@@ -215,3 +216,17 @@ def test_two_hulls_have_no_chine_beam():
     both = np.concatenate([np.add(points, (0, 2, 0)), np.add(points, (0, -2, 0))])
     with pytest.raises(InputError, match="one keel with two chines"):
         particulars(both, np.concatenate([faces, faces + len(points)]), 2000.0, True)
+
+
+def test_a_curve_has_the_derivatives_of_a_natural_cubic_spline():
+    """Its coefficients are sums of steps, which must not be differentiated, and nothing jumps at a knot."""
+    curve = BOAT.hull.running.rate
+    spline = CubicSpline(curve.knots, [curve(speed) for speed in curve.knots], bc_type="natural")
+    u = ca.SX.sym("u")
+    value = curve.symbolic(u)
+    bend, slope = ca.hessian(value, u)
+    law = ca.Function("rate", [u], [value, slope, bend])
+    for speed in (0.7, 4.9, 10.0, 17.3, curve.knots[9] + 1e-9, curve.knots[9] - 1e-9):
+        x = np.hypot(speed, 1e-3)
+        for order, made in enumerate(map(float, law(speed))):
+            assert made == pytest.approx(float(spline(x, order)), rel=1e-4)

@@ -57,10 +57,12 @@ class Track:
         Samples outside do not affect a stage's velocities, unless the range is shorter than a frame.
         """
         inside = (self.frames >= first - 1e-6) & (self.frames <= last + 1e-6)
+        if inside.all():
+            return self
         if not inside.any():
             inside[int(np.argmin(np.abs(self.frames - first)))] = True
         rows = np.flatnonzero(inside)
-        if not self.chords or len(rows) in (*range(PER_FRAME + 1), len(inside)):
+        if not self.chords or len(rows) in range(PER_FRAME + 1):
             return self._select(rows)
         joints = {name: values[rows] for name, values in self.joints.items()}
         return _of_chords(self.frames[rows], self.fps, self.positions[rows], self.rotations[rows], joints)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.audit import Track, track_of_clip
 from vehsim.planning.certificates import Executed
 from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
@@ -128,6 +130,11 @@ class Iterate(Trajectory):
         """The spheres that flight keeps away from terrain and obstacles."""
         found = self.block(Clearance)
         return None if found is None else found.cover
+
+    @cached_property
+    def track(self) -> Track:
+        """The motion as an audit measures it, without channels: interpolating these takes half the time."""
+        return track_of_clip(replace(self.clip, vehicle=self.request.vehicle, channels={}))
 
     @property
     def blocked(self) -> bool:

@@ -80,8 +80,8 @@ TOO_HARD = 1.5
 and out of rest would take time that the rest of the motion needs, which then is harder than a stunt."""
 QUICK = Patience(60)
 """That of a solve in a character, after which it is compared with a stunt."""
-AT_ONCE = Patience(20, halfway=1e-2)
-"""That of a solve at once on the requested segments, refined: easy problems need 5 to 16 iterations there."""
+AT_ONCE = Patience(40, early=0.25)
+"""That of a solve at once on the requested segments, refined: easy problems need 5 to 40 iterations there."""
 CALM = 0.85
 """Ratio of a motion to the limits of its character below which it is not solved again within them."""
 STRAINED, WORTH = 1.15, 0.9
@@ -388,8 +388,7 @@ def _is_too_hard(run: Run, iterate: Iterate) -> bool:
 def _strain(iterate: Iterate, request: Request) -> float:
     """The largest ratio of a coarse motion to a soft limit of the request's character."""
     soft = [ask for ask in asks_of(request, iterate.mark_frames()) if ask.key.startswith(BEYOND)]
-    clip = replace(iterate.clip, vehicle=request.vehicle)
-    return _largest_ratio(audit(track_of_clip(clip), soft, WorldScene(request.world, clip.vehicle)))
+    return _largest_ratio(audit(iterate.track, soft, WorldScene(request.world, request.vehicle)))
 
 
 def _largest_ratio(rows: Sequence[Row]) -> float:
@@ -552,7 +551,7 @@ def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:
     """
     iterate = in_character(run, iterate, request.traits)
     within = restrained(iterate)
-    if within is not iterate and not (iterate.success and _strain(iterate, iterate.request) < CALM):
+    if within is not iterate and not (within.success and _strain(within, within.request) < CALM):
         within = restrain(run, iterate)
     return settle_on_frames(run, within)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.planning.blocks import blocks_of
+from vehsim.planning.constraints.actuation import Actuation
 from vehsim.planning.constraints.block import Block, assemble, parameter_values, variable_bounds
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
@@ -136,8 +137,9 @@ def give_up(iterate: Iterate, message: str) -> Iterate:
 def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
     """Solve from the iterate's variables; the durations of legs to free marks vary until they are fixed.
 
-    A solution that violates inactive constraints activates them, and is solved again from the same start. ``patience``:
-    that of one solve; when it ends, the unfinished motion is returned.
+    A solution that violates inactive constraints activates them, and is solved again: from itself if these are those of
+    actuators, from the same start if there may be an obstacle in between. ``patience``: that of one solve; when it
+    ends, the unfinished motion is returned.
     """
     solved = _solve_active(run, iterate, "guess", patience)
     for _ in range(LOOKS):
@@ -146,7 +148,9 @@ def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
         blocks = tuple(block.violated(solved) for block in iterate.blocks)
         if all(new is old for new, old in zip(blocks, iterate.blocks, strict=True)):
             break
-        iterate = replace(iterate, blocks=blocks)
+        pairs = zip(blocks, iterate.blocks, strict=True)
+        near = all(new is old or isinstance(new, Actuation) for new, old in pairs)
+        iterate = replace(solved, blocks=blocks, multipliers=None) if near else replace(iterate, blocks=blocks)
         solved = _solve_active(run, iterate, "again", patience)
     if solved.success and not run.deadline.late:
         solved = _completed(run, solved, patience)

@@ -91,30 +91,35 @@ _NEAR = {
 _ENDS: dict[End, dict[str, Any]] = {
     "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9},
     # near the earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen
-    "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, **_CONTENT},
+    # and constraints may depend on each other: a boat that is held at rest balances three forces by one thrust
+    "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, "perturb_always_cd": "yes", **_CONTENT},
     "near": _NEAR,
     "draft": {**_NEAR, "constr_viol_tol": DRAWN, **_CONTENT},
 }
 
 
+EARLY = 8
+"""Iterations after which it shows whether a solve goes well."""
+
+
 @dataclass(frozen=True)
 class Patience:
-    """How long a solve is given: at ``most`` so many iterations, and after half of them no constraint may be missed by
-    more than ``halfway``, in the problem's scaled units.
+    """How long a solve is given: at ``most`` so many iterations, and after `EARLY` of them no constraint may be missed
+    by more than ``early``, in the problem's scaled units.
 
     ``unfinished``: the largest such miss with which a motion counts as solved after these iterations. If it is not
     zero, the solve goes on until then.
     """
 
     most: float = math.inf
-    halfway: float = math.inf
+    early: float = math.inf
     unfinished: float = 0.0
 
     def ends(self, count: int, violation: Callable[[], float]) -> bool:
         """Whether it ends with iteration ``count``, at which constraints are missed by ``violation``."""
         if count > self.most:
             return self.unfinished == 0 or violation() <= self.unfinished
-        return count == self.most // 2 and violation() > self.halfway
+        return count == EARLY and violation() > self.early
 
 
 ENDLESS = Patience()
@@ -134,6 +139,14 @@ def _warm(barrier: float, push: float) -> dict[str, Any]:
     }
 
 
+_CONVEX = {
+    "first_hessian_perturbation": 1e-2,
+    "perturb_inc_fact_first": 4.0,
+    "perturb_inc_fact": 4.0,
+    "perturb_dec_fact": 0.1,
+}
+"""Which multiples of the identity make a Hessian convex: IPOPT's own steps of a hundred go far beyond what is needed,
+and its thirds take ten short steps to come down again."""
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
     "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
@@ -151,6 +164,7 @@ def ipopt_options(
         "ipopt": {
             "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
             "mumps_pivot_order": 0,
+            **_CONVEX,
             "print_level": 0,
             "sb": "yes",
             **_ENDS[end],

@@ -142,10 +142,10 @@ class Running:
         """Resistance over speed, N s/m."""
         return SpeedSpline.through(self.speeds, self.resistance / np.maximum(self.speeds, 1e-9))
 
-    def between(self, rest: float, planing: float) -> SpeedSpline:
-        """A quantity that changes from its value at ``rest`` to that of the ``planing`` hull."""
-        share = np.zeros(len(self.speeds)) if self.share is None else self.share
-        return SpeedSpline.through(self.speeds, rest + share * (planing - rest))
+    @property
+    def planes(self) -> SpeedSpline:
+        """The share of its way from rest to planing."""
+        return SpeedSpline.through(self.speeds, np.zeros(len(self.speeds)) if self.share is None else self.share)
 
     @property
     def dry(self) -> SpeedSpline:
@@ -211,10 +211,21 @@ class SpeedSpline:
         return float(self.value + self.slope * x + above**3 @ np.array(self.bends))
 
     def symbolic(self, speed: Expr) -> Expr:
-        """The same as an expression, smooth at zero."""
+        """The same as an expression, smooth at zero.
+
+        A cubic from the last knot passed, whose coefficients are sums of steps: these have no derivatives, so that
+        those of the spline take few operations.
+        """
         x = ca.sqrt(speed**2 + 1e-6)
-        return (
-            self.value
-            + self.slope * x
-            + sum(bend * ca.fmax(x - knot, 0) ** 3 for knot, bend in zip(self.knots, self.bends, strict=True))
+        if not self.knots:
+            return self.value + self.slope * x
+        passed = [x >= knot for knot in self.knots[1:]]
+        past = np.tril(np.subtract.outer(self.knots, self.knots))
+        value = self.value + self.slope * np.array(self.knots) + past**3 @ self.bends
+        bends = np.tril(np.ones_like(past)) @ self.bends
+        knot, a, b, c, d = (
+            steps[0] + sum(float(rise) * over for rise, over in zip(np.diff(steps), passed, strict=True))
+            for steps in (self.knots, value, self.slope + 3 * past**2 @ self.bends, 3 * past @ self.bends, bends)
         )
+        dx = x - knot
+        return a + dx * (b + dx * (c + dx * d))

@@ -153,11 +153,7 @@ def boat(
 
     run = _running(name, mass, places, wetted_length, wetted_area, form_factor, chine_beam, deadrise, transom)
     rate = SpeedSpline.constant(0.0) if run is None else run.rate
-    wet = ((wetted_centre, running_centre), (wetted_radius**2, running_radius**2))
-    centre, square = (
-        SpeedSpline.constant(a) if run is None or not running_radius else run.between(a, b) for a, b in wet
-    )
-
+    planes = SpeedSpline.constant(0.0) if run is None or not running_radius else run.planes
     lifted, dry = (None, None) if run is None or run.trim is None else (run.lifted(impact_drag[1]), run.dry)
     a = [*map(float, added_mass)]
 
@@ -168,7 +164,9 @@ def boat(
         ahead = damping[0] + speed * (damping_quadratic[0] + impact_drag[0])
         pressed = speed * impact_drag[1] if lifted is None else lifted.symbolic(speed)
         across = damping[1] + speed * damping_quadratic[1] + pressed
-        middle, spread = centre.symbolic(twist[1]), square.symbolic(twist[1])
+        share = planes.symbolic(twist[1])
+        middle = wetted_centre + share * (running_centre - wetted_centre)
+        spread = wetted_radius**2 + share * (running_radius**2 - wetted_radius**2)
         force = ca.vertcat(
             -across * (middle * twist[2] + spread * twist[0]),
             -(ahead + rate.symbolic(twist[1])) * twist[1],

@@ -1,0 +1,68 @@
+"""Plans of easy marks take few iterations, and few operations in each."""
+
+from __future__ import annotations
+
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim.planning import iterate
+from vehsim.planning.constraints.dynamics import equations
+from vehsim.planning.problem.transcription import transcribe
+
+REST = (0.0, 0.0, 0.0)
+
+
+def marks(*rows):
+    return [Mark(frame, position=(x, y, 0.0), heading=heading, velocity=REST) for frame, x, y, heading in rows]
+
+
+def test_a_hessian_that_must_be_made_convex_takes_few_iterations():
+    """With IPOPT's own multiples of the identity, this truck took 41 iterations and this boat 66."""
+    truck = vehsim.plan(vehsim.load_vehicle("truck"), None, marks((1, 0, 0, 0), (706, 57, 10, -14)))
+    boat = vehsim.plan(vehsim.load_vehicle("boat"), None, marks((1, 0, 0, 0), (1003, 65, 39, 3)))
+    assert truck.success and truck.iterations < 25
+    assert boat.success and boat.iterations < 30
+
+
+def test_a_boat_held_at_rest_takes_few_iterations():
+    """One thrust is to balance three forces, so that the constraints depend on each other: it took 302 iterations."""
+    first, last = marks((1, 0, 0, 0), (1992, 65, 39, 3))
+    pause = Mark(981, position=(34.4, 16.6, 0.0), velocity=REST, hold=48)
+    plan = vehsim.plan(vehsim.load_vehicle("boat"), None, [first, pause, last])
+    assert plan.success and plan.iterations < 100
+
+
+def test_a_motion_that_actuators_cannot_follow_is_solved_again_from_itself(monkeypatch):
+    starts = []
+    from vehsim.planning import solve
+
+    plain = solve._solve_active
+
+    def watched(run, start, kind, patience):
+        solved = plain(run, start, kind, patience)
+        starts.append((kind, start.x, solved.x))
+        return solved
+
+    monkeypatch.setattr(solve, "_solve_active", watched)
+    world = vehsim.World(wind=(-6.0, 3.0, 0.0))
+    plan = vehsim.plan(vehsim.load_vehicle("boat"), world, marks((1, 0, 0, 0), (1003, 65, 39, 3)))
+    again = [k for k, (kind, _, _) in enumerate(starts) if kind == "again"]
+    assert plan.success and again
+    for k in again:
+        assert (starts[k][1] == starts[k - 1][2]).all()
+
+
+def test_a_coarse_motion_is_measured_once(monkeypatch):
+    tracks = []
+    made = iterate.track_of_clip
+    monkeypatch.setattr(iterate, "track_of_clip", lambda clip: tracks.append(made(clip)) or tracks[-1])
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks((1, 0, 0, 0), (481, 30, 5, 10)))
+    assert plan.success and len(tracks) == 1 and not tracks[0].channels
+
+
+@pytest.mark.parametrize(("order", "most"), [(2, 4000), (4, 8000)])
+def test_derivatives_of_a_planing_hull_take_few_operations(order, most):
+    """6820 and 18715 in a Hessian when every piece of its curves was differentiated."""
+    element = equations(transcribe(vehsim.load_vehicle("boat").planar), order)
+    assert element.hessian[0].n_instructions() < most
