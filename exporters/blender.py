@@ -64,7 +64,7 @@ SHADED, BANDS = 48, 2.0
 """
 CHOP = 1000
 """Number of the first band of waves that no mesh carries."""
-PIXEL, VISIBLE = 1 / 1500, (6.0, 3.0)
+PIXEL, VISIBLE = 1 / 1500, (8.0, 1.0)
 """Angle of a pixel, rad, and from how many pixels a wave on a wave is visible, and on how many it is not."""
 HAZE, LOW = 2000.0, 0.01
 """Distance at which haze leaves 37 % of the water, m, by its square: near water stays dark. And how far above the
