@@ -52,7 +52,7 @@ LOST, WEAK = 0.15, 0.01
 damping over the largest one from which the error is measured by the mode's own."""
 SPREAD = 0.1
 """Largest error of a memory in roll and sway that is not warned of."""
-KIND = "hydro-9"
+KIND = "hydro-10"
 """Of cached results: change the number when the method changes."""
 MOST_KEPT = 200_000_000
 """Bytes of all cached results: those of about 500 hulls."""
@@ -116,8 +116,12 @@ def _laid(mesh: HullMesh, hull: HullMesh) -> HullMesh:
     turned = (mesh.normals * hull.replaced(points, mesh.faces).normals).sum(axis=1) <= 0
     kept = mesh.faces[turned]
     points[kept] = mesh.points[kept]
-    middle, larger = hull.points.mean(axis=0), np.cbrt(hull.volume / hull.replaced(points, mesh.faces).volume)
-    return hull.replaced(middle + larger * (points - middle), mesh.faces)
+    larger = np.cbrt(hull.volume / hull.replaced(points, mesh.faces).volume)
+    for part in mesh.parts:  # about its own middle: the hulls of a catamaran stay as far apart
+        own = np.unique(mesh.faces[part])
+        middle = points[own].mean(axis=0)
+        points[own] = middle + larger * (points[own] - middle)
+    return hull.replaced(points, mesh.faces)
 
 
 def coefficients(hull: HullMesh, height: float, progress: Progress | None = None) -> Coefficients:

@@ -108,6 +108,11 @@ class HullMesh:
         """The enclosed volume, m^3."""
         return _volume(self.points, self.faces)
 
+    @property
+    def parts(self) -> list[NDArray[np.bool_]]:
+        """For each connected surface, which faces (m,) are its own."""
+        return list(_parts(self.faces))
+
     def shifted(self, offset: Array) -> HullMesh:
         """The same hull relative to ``offset`` (3,) m."""
         return self.replaced(self.points - offset, self.faces)
