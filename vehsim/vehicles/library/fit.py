@@ -27,6 +27,8 @@ OFF, GROSS = 0.15, 3.0
 error."""
 DENSITY, POSSIBLE = (30.0, 2500.0), (5.0, 12000.0)
 """Mass divided by the volume of a vehicle's hulls, kg/m^3: the usual range, and the possible range."""
+ROTORS = ("main_rotor", "tail_rotor")
+"""Channels of parts whose hulls are the space that they sweep, which has no weight."""
 
 
 def misfits(rig: Rig | None, parameters: Mapping[str, Any] | None = None) -> list[Problem]:
@@ -58,10 +60,10 @@ def _written(rig: Rig) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Shape:
-    """Points (n, 3) of every part in the rig root's frame, m, by path; the volume of its hulls, m^3."""
+    """Points (n, 3) of every part in the rig root's frame, m, and the volume of its hulls, m^3, by path."""
 
     points: dict[str, Array]
-    volume: float
+    volumes: dict[str, float]
 
     @staticmethod
     def of(rig: Rig) -> _Shape:
@@ -69,8 +71,13 @@ class _Shape:
 
     def below(self, prim: str) -> Array:
         """Points (n, 3) of a prim and all prims below it."""
-        rows = [p for path, p in self.points.items() if path == prim or path.startswith(f"{prim}/")]
+        rows = [p for path, p in self.points.items() if _is_below(path, prim)]
         return np.concatenate(rows) if rows else np.zeros((0, 3))
+
+    def volume(self, rig: Rig) -> float:
+        """The volume of all hulls without those of rotors, m^3."""
+        swept = [rig.drives[name].prim for name in ROTORS if name in rig.drives]
+        return sum(v for path, v in self.volumes.items() if not any(_is_below(path, prim) for prim in swept))
 
     def centres(self, rig: Rig, channels: Sequence[str]) -> Array:
         """Centres (k, 3) of the parts that the existing ones of ``channels`` drive."""
@@ -84,7 +91,15 @@ def _shape(asset: Path, root: str | None, written: Stamp) -> _Shape:
 
     parts = read_parts(asset, root)
     points = {p.path: p.points @ p.T_rp[:3, :3].T + p.T_rp[:3, 3] for p in parts if len(p.points)}
-    return _Shape(points, sum(volume for _, volume, _, _ in moments(parts)))
+    volumes = dict.fromkeys((part.path for part in parts), 0.0)
+    for part, volume, _, _ in moments(parts):
+        volumes[part.path] += volume
+    return _Shape(points, volumes)
+
+
+def _is_below(path: str, prim: str) -> bool:
+    """Whether a part is a prim or below it."""
+    return path == prim or path.startswith(f"{prim}/")
 
 
 FRONT, REAR = ("roll_fl", "roll_fr", "steer_fl", "steer_fr", "roll_front"), ("roll_rl", "roll_rr", "roll_rear")
@@ -143,13 +158,14 @@ def _compare(key: str, physics: dict[str, Any], measured: float, what: str) -> I
 
 def _mass(rig: Rig, shape: _Shape, physics: dict[str, Any]) -> Iterator[Problem]:
     mass = physics.get("mass")
-    if not isinstance(mass, int | float) or shape.volume <= 0:
+    volume = shape.volume(rig)
+    if not isinstance(mass, int | float) or volume <= 0:
         return
-    density = mass / shape.volume
+    density = mass / volume
     if DENSITY[0] <= density <= DENSITY[1]:
         return
-    message = f"divided by the {shape.volume:.3g} m^3 of its hulls, this is {density:.3g} kg/m^3"
-    low, high = (float(f"{limit * shape.volume:.2g}") for limit in DENSITY)
+    message = f"divided by the {volume:.3g} m^3 of its hulls, this is {density:.3g} kg/m^3"
+    low, high = (float(f"{limit * volume:.2g}") for limit in DENSITY)
     remedy = f"give kg: {low:g} to {high:g} is usual, or physics.density to have it measured"
     possible = POSSIBLE[0] <= density <= POSSIBLE[1]
     yield Problem("physics.mass", message, remedy, mass, severity="warning" if possible else "error")
