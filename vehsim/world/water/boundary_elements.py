@@ -52,7 +52,7 @@ LOST, WEAK = 0.15, 0.01
 damping over the largest one from which the error is measured by the mode's own."""
 SPREAD = 0.1
 """Largest error of a memory in roll and sway that is not warned of."""
-KIND = "hydro-10"
+KIND = "hydro-11"
 """Of cached results: change the number when the method changes."""
 MOST_KEPT = 200_000_000
 """Bytes of all cached results: those of about 500 hulls."""

@@ -45,9 +45,12 @@ FAINT = 0.02
 GUESSED = 0.1
 """Weight of frequencies above the highest in the fit."""
 POLES = (14, 18, 22, 26, 30)
-"""Numbers of poles that are tried where waves ring, until the error is at most `ERROR`; it must not be larger than
-`RINGS`: root mean square of the error at each frequency, relative to the force there."""
-RINGS = 0.05
+"""Numbers of poles that are tried where waves ring, until the error is at most `CLOSE`; it must not be larger than
+`RINGS`: root mean square of the error at each frequency, relative to the force there, of which faint modes have little.
+"""
+CLOSE, RINGS = 0.001, 0.05
+PEAKED = 0.6
+"""Waves ring where frequencies are closer than this share of the largest spacing: added to resolve a peak."""
 ROUNDS, NARROW = 10, 0.2
 """Relocations of these poles, and their least damping over the least spacing of the frequencies: narrower peaks are not
 resolved, and would ring for ever."""
@@ -75,6 +78,12 @@ class Radiation:
     def excess(self) -> Array:
         """Of the added mass (n, 6, 6) over that at infinite frequency."""
         return self.added - self.infinite
+
+    @property
+    def peaked(self) -> bool:
+        """Whether frequencies were added to resolve a peak."""
+        spacing = np.diff(self.omega)
+        return bool(spacing.min() < PEAKED * spacing.max())
 
     @cached_property
     def within(self) -> Callable[[Array], Array]:
@@ -163,9 +172,15 @@ def fitted(radiation: Radiation, infinite: Array | None = None) -> Memory | None
     """A model of the radiation, with stable poles, in which no motion gains energy; None: there is none.
 
     ``infinite`` (6, 6): the added mass at infinite frequency, if waves ring between two hulls, so that it does not
-    follow from the damping. Without a model of these, they are damped: their peaks are spread out.
+    follow from the damping. Where peaks are resolved, it does, but a realization of the kernel fits the peaks alone:
+    away from them, a thousandth of the peak is a large error. Without a model of these, they are damped: their peaks
+    are spread out.
     """
-    model = _model(radiation, known=True) if infinite is None else _ringing(radiation, infinite)
+    model = None
+    if infinite is not None or radiation.peaked:
+        model = _ringing(radiation, radiation.infinite if infinite is None else infinite)
+    if model is None and infinite is None:
+        model = _model(radiation, known=True)
     if model is not None:
         return model
     for spread in SPREADS:
@@ -205,7 +220,7 @@ def _ringing(radiation: Radiation, infinite: Array) -> Memory | None:
         model = Memory(states, inputs * scale, outputs * scale[:, None])
         if miss < (RINGS if best is None else best[0]) and gain(model, omega[-1]) < GAIN:
             best = miss, model
-        if best is not None and best[0] <= ERROR:
+        if best is not None and best[0] <= CLOSE:
             break
     return None if best is None else best[1]
 
