@@ -20,6 +20,8 @@ Indices = NDArray[np.int64]
 
 SKIN = 0.03
 """Height of lowered water above the bottom of a hull, m."""
+ASIDE = np.array([1.0, 0.6, 0.3]) * 1e-6
+"""Where rays to a hull's skin start beside their places, m: along an edge of the skin they may miss it."""
 COARSE = 0.5
 """Cells longer than this share of a hull's beam may have no corner inside it."""
 
@@ -120,5 +122,5 @@ def _to_skin(hull: tuple[Array, Indices], places: Array, ways: Array) -> Array:
     import igl
 
     corners, faces = hull
-    hits = [igl.ray_mesh_intersect(*ray, corners, faces) for ray in zip(places, ways, strict=True)]
+    hits = [igl.ray_mesh_intersect(*ray, corners, faces) for ray in zip(places + ASIDE, ways, strict=True)]
     return np.array([min(nearest[0][1], 1.0) if nearest else 1.0 for nearest in hits])

@@ -88,11 +88,19 @@ _NEAR = {
     "mumps_scaling": 0,
     "mumps_permuting_scaling": 0,
 }
+_CONVEX = {
+    "first_hessian_perturbation": 1e-2,
+    "perturb_inc_fact_first": 4.0,
+    "perturb_inc_fact": 4.0,
+    "perturb_dec_fact": 0.1,
+}
+"""Which multiples of the identity make a Hessian convex: IPOPT's own steps of a hundred go far beyond what is needed,
+and its thirds take ten short steps to come down again."""
 _ENDS: dict[End, dict[str, Any]] = {
     "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9},
     # near the earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen
     # and constraints may depend on each other: a boat that is held at rest balances three forces by one thrust
-    "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, "perturb_always_cd": "yes", **_CONTENT},
+    "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, "perturb_always_cd": "yes", **_CONVEX, **_CONTENT},
     "near": _NEAR,
     "draft": {**_NEAR, "constr_viol_tol": DRAWN, **_CONTENT},
 }
@@ -139,14 +147,6 @@ def _warm(barrier: float, push: float) -> dict[str, Any]:
     }
 
 
-_CONVEX = {
-    "first_hessian_perturbation": 1e-2,
-    "perturb_inc_fact_first": 4.0,
-    "perturb_inc_fact": 4.0,
-    "perturb_dec_fact": 0.1,
-}
-"""Which multiples of the identity make a Hessian convex: IPOPT's own steps of a hundred go far beyond what is needed,
-and its thirds take ten short steps to come down again."""
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
     "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
@@ -164,7 +164,6 @@ def ipopt_options(
         "ipopt": {
             "max_iter": min(max_iterations, NEARBY) if start == "multipliers" else max_iterations,
             "mumps_pivot_order": 0,
-            **_CONVEX,
             "print_level": 0,
             "sb": "yes",
             **_ENDS[end],
