@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.planning.blocks import blocks_of
-from vehsim.planning.constraints.actuation import Actuation
 from vehsim.planning.constraints.block import Block, assemble, parameter_values, variable_bounds
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
@@ -137,8 +136,8 @@ def give_up(iterate: Iterate, message: str) -> Iterate:
 def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
     """Solve from the iterate's variables; the durations of legs to free marks vary until they are fixed.
 
-    A solution that violates inactive constraints activates them, and is solved again: from itself if these are those of
-    actuators, from the same start if there may be an obstacle in between. ``patience``: that of one solve; when it
+    A solution that violates inactive constraints activates them, and is solved again: from itself if all
+    their blocks say so (`Block.continues`), else from the same start. ``patience``: that of one solve; when it
     ends, the unfinished motion is returned.
     """
     solved = _solve_active(run, iterate, "guess", patience)
@@ -149,7 +148,7 @@ def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
         if all(new is old for new, old in zip(blocks, iterate.blocks, strict=True)):
             break
         pairs = zip(blocks, iterate.blocks, strict=True)
-        near = all(new is old or isinstance(new, Actuation) for new, old in pairs)
+        near = all(new is old or new.continues for new, old in pairs)
         iterate = replace(solved, blocks=blocks, multipliers=None) if near else replace(iterate, blocks=blocks)
         solved = _solve_active(run, iterate, "again", patience)
     if solved.success and not run.deadline.late:

@@ -30,6 +30,7 @@ class Actuation(Block):
     They become active once a motion violates them: what a careful driver does is far within what the machine can do.
     """
 
+    continues = True
     active: bool = False
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:

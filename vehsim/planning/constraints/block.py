@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,10 @@ class Finding:
 
 class Block:
     """One cost or constraint. By default it adds no variables, parameters, rows or bounds, and measures nothing."""
+
+    continues: ClassVar[bool] = False
+    """Whether a solve with more of its constraints active starts from the motion that violated them, not from the same
+    start again, because there can be no obstacle in between."""
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         """A key that is equal for blocks that add the same rows to a problem of the same layout, whatever the parameter
