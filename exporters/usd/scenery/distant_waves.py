@@ -85,8 +85,7 @@ def unseen_slopes(water: Water, grid: Grid) -> Array:
     waves = water.surface
     if not isinstance(waves, Waves):
         return np.zeros(len(grid.xy))
-    each = (waves.amplitude * np.hypot(*waves.number.T)) ** 2 / 2
-    return np.asarray(waves.share(grid.xy)[:, 0] ** 2 * ((1 - carried(waves, grid) ** 2) @ each))
+    return np.asarray(waves.share(grid.xy)[:, 0] ** 2 * ((1 - carried(waves, grid) ** 2) @ waves.steepness))
 
 
 def distant_waves(take: Take, grid: Grid, origin: Array | float = 0.0) -> DistantWaves | None:
@@ -109,8 +108,7 @@ def _chop(waves: Waves, wind: Array) -> list[Waves]:
     """Waves too short for those of a sea and too long for ripples, around the direction of the ``wind`` (2,) m/s; zero:
     of that which raises the sea. They have no relief. None without a gap or wind."""
     speed = max(float(np.hypot(*wind)), waves.wind)
-    steep = (waves.amplitude * np.hypot(*waves.number.T)) ** 2
-    ahead = wind if wind.any() else steep @ waves.along
+    ahead = wind if wind.any() else waves.steepness @ waves.along
     octaves = float(np.log2(2 * np.pi / np.hypot(*waves.number.T).max() / RIPPLED))
     random, count = np.random.default_rng(11), round(CHOP * octaves)
     if speed == 0 or count <= 0:

@@ -122,6 +122,11 @@ class Waves:
     def _k(self) -> Array:
         return np.hypot(*self.number.T)
 
+    @property
+    def steepness(self) -> Array:
+        """Mean square slope (k,) of each wave."""
+        return (self.amplitude * self._k) ** 2 / 2
+
     @cached_property
     def along(self) -> Array:
         """(k, 2) unit vectors of the directions of the waves."""
