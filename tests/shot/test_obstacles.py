@@ -124,6 +124,16 @@ def test_figures_show_path_obstacles_and_controls(delivery):
             "vehicle[0].motion.mark[1].position",
             "in obstacle 'crate'",
         ),
+        (
+            lambda d: d["world"]["obstacle"][2].update(centre=[15, -5, 0.5]),
+            "world.obstacle[2].centre",
+            "obstacle 'crate' hangs 0.5 m above the ground, half of its height",
+        ),
+        (
+            lambda d: d["world"]["obstacle"].append({"shape": "cone", "centre": [2, 9, 2], "height": 4}),
+            "world.obstacle[3].centre",
+            "if it stands, give z = 0",
+        ),
     ],
 )
 def test_problems_are_reported_at_their_key(change, key, words):

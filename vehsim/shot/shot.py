@@ -41,7 +41,7 @@ from vehsim.shot.overrides import apply_overrides
 from vehsim.shot.schema.shot_file import ShotFile, VehicleTable, parse
 from vehsim.shot.schema.tables import MAX_FRAMES
 from vehsim.shot.subjects import naming
-from vehsim.shot.world.obstacle_tables import check_obstacles, standing, with_vehicles
+from vehsim.shot.world.obstacle_tables import check_obstacles, check_stands, standing, with_vehicles
 from vehsim.shot.world.water import check_afloat, check_water, make_water
 from vehsim.vehicles.library.file import vehicle_files
 
@@ -371,6 +371,8 @@ class Shot:
         if world is not None and world.terrain is not None and world.terrain.look is not None:
             name = self.file.world.terrain or ""
             yield from check_copied("world.terrain", name, world.terrain.look, [], self.file.export)
+        if world is not None:
+            yield from check_stands(self.file.world.obstacle, world)
         for i, table in enumerate(self.file.vehicle):
             key = f"vehicle[{i}].asset"
             try:

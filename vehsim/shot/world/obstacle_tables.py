@@ -5,6 +5,7 @@ Geometry and its messages are in `vehsim.world.obstacles`; a vehicle that is an 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from vehsim.vehicles import Vehicle
     from vehsim.world.obstacles.obstacles import Obstacle
     from vehsim.world.world import World
+
+HALFWAY = 0.02
+"""Share of half a height within which an obstacle above the ground counts as placed by its middle."""
 
 
 def standing(tables: Sequence[Any], folder: Path) -> list[Obstacle]:
@@ -60,6 +64,21 @@ def check_obstacles(
         if name in names:
             yield Problem(f"{key}.name", "used twice", "give every obstacle a name of its own", name)
         names.append(name)
+
+
+def check_stands(tables: Sequence[Any], world: World) -> Iterator[Problem]:
+    """Boxes and cones whose middle is where their bottom belongs: a warning."""
+    height_of = {"box": lambda table: table.size[2], "cone": lambda table: table.height}
+    for i, table in enumerate(tables):
+        if table.shape not in height_of:
+            continue
+        half = height_of[table.shape](table) / 2
+        below = max(float(world.height(table.centre[:2])[0]), -math.inf if world.water is None else world.water.level)
+        gap = table.centre[2] - below
+        if gap > 0 and abs(gap - half) < HALFWAY * half:
+            message = f"obstacle {name_of(i, table)!r} hangs {gap:.3g} m above the ground, half of its height"
+            remedy = f"centre is the centre of its bottom; if it stands, give z = {below:.3g}"
+            yield Problem(f"world.obstacle[{i}].centre", message, remedy, table.centre, severity="warning")
 
 
 def check_marks(marks: Sequence[MarkTable], vehicle: Vehicle, world: World, clearance: float) -> Iterator[Problem]:
