@@ -111,6 +111,41 @@ def test_the_field_is_exact_near_the_ground_and_never_too_small_farther_away(box
     assert far.min() > -1e-4 and far.mean() < 0.04 and far.max() < 0.75
 
 
+def hills():
+    x, y = np.meshgrid(np.arange(0, 301, 3.0), np.arange(0, 241, 3.0))
+    return Terrain("hills", 15 * np.sin(x / 40) * np.cos(y / 30) + 4 * np.sin(x / 17 + y / 23), (0.0, 0.0), (3.0, 3.0))
+
+
+@pytest.mark.parametrize(("terrain", "typical"), [(hills(), 1e-3), (crags(), 0.03)], ids=["hills", "crags"])
+def test_a_quick_field_is_never_too_small_and_asks_for_few_nearest_points(monkeypatch, terrain, typical):
+    """Compared with the exact field, which asks for nearest points at all grid points near the ground."""
+    asked, nearest = [], type(terrain).nearest
+    monkeypatch.setattr(type(terrain), "nearest", lambda own, at: asked.append(len(at)) or nearest(own, at))
+    monkeypatch.setattr("vehsim.world.distance.field.kept", lambda kind, content, make, most: make())
+    quick = distance_field(terrain, spacing=2.0, quick=True)
+    few = sum(asked)
+    exact = distance_field(terrain, spacing=2.0)
+    assert few < 0.2 * (sum(asked) - few)
+    assert (np.sign(quick.distances) == np.sign(exact.distances)).all()
+    error, near = np.abs(quick.distances) - np.abs(exact.distances), (exact.distances > -4) & (exact.distances < 8)
+    assert error[near].min() > -1e-4 and error[near].mean() < typical and error[near].max() < 0.8
+
+
+@pytest.mark.parametrize("terrain", [hills(), crags()], ids=["hills", "crags"])
+def test_along_a_path_the_field_is_exact_near_the_ground(terrain):
+    path = np.array([[5.0, 5, 30], [30, 20, 28], [55, 35, 30]])
+    field = World(terrain).distance_field_along(path, reach=10.0)
+    axes = [field.lower[k] + field.spacing * np.arange(n) for k, n in enumerate(field.distances.shape)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    true = np.sqrt(igl.point_mesh_squared_distance(points, terrain.vertices, terrain.faces)[0])
+    along = np.linspace(path[:-1, :2], path[1:, :2], 400).reshape(-1, 2)
+    beside = np.sqrt(((points[:, None, :2] - along) ** 2).sum(axis=-1).min(axis=1))
+    found = field.distances.ravel()
+    near = (beside < 10 - field.spacing) & (found > NEAR[0]) & (found < NEAR[1])
+    assert near.any() and not near.all()
+    assert np.abs(np.abs(found) - true)[near].max() < 1e-4
+
+
 def test_nothing_is_gained_by_leaving_through_sides_or_bottom(field):
     centre = 0.5 * (field.lower + field.upper)
     for axis, sign in ((0, -1), (0, 1), (1, -1), (1, 1), (2, -1)):

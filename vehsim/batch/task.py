@@ -181,7 +181,7 @@ def _work(task: Task, tell: Tell) -> Outcome:
 
 def measure(task: Task) -> None:
     """Put the distance field of the task's terrain into the cache, so that only one worker measures it."""
-    task.load().world.distance_field()
+    task.load().world.distance_field(quick=True)
 
 
 def _measures(shot: Any) -> bool:

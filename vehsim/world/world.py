@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
 from vehsim.runtime.progress import Progress
-from vehsim.world.distance.field import DistanceField, distance_field
+from vehsim.world.distance.field import DistanceField, distance_field, exact_along
 from vehsim.world.obstacles.articulated import carriers_of, swung
 from vehsim.world.obstacles.obstacles import Moving, Obstacle, check_obstacles
 from vehsim.world.terrain.terrain import Terrain
@@ -176,19 +176,45 @@ class World:
         return Combined(parts) if parts else None
 
     def distance_field(
-        self, progress: Progress | None = None, *, spacing: float | None = None, box: ArrayLike | None = None
+        self,
+        progress: Progress | None = None,
+        *,
+        spacing: float | None = None,
+        box: ArrayLike | None = None,
+        quick: bool = False,
     ) -> DistanceField | None:
         """The smooth field of signed distances to the terrain and to standing obstacles, None if there is neither.
 
         See `distance_field`; without terrain it is open, and by default extends a little beyond the obstacles; ``box``
-        (2, 3) m changes this.
+        (2, 3) m changes this. ``quick``: found in a third of the time where there is only a height field; up to some
+        decimetres too large.
         """
         if self.terrain is None and not self.standing:
             return None
-        key = (spacing, None if box is None else tuple(np.ravel(np.asarray(box, dtype=float)).tolist()))
+        quick = quick and self._by_height
+        key = (spacing, None if box is None else tuple(np.ravel(np.asarray(box, dtype=float)).tolist()), quick)
         if key not in self._fields:
-            self._fields[key] = distance_field(self.terrain, spacing, box, progress, self.standing, self._grids)
+            self._fields[key] = distance_field(self.terrain, spacing, box, progress, self.standing, self._grids, quick)
         return self._fields[key]
+
+    def distance_field_along(
+        self, path: ArrayLike, reach: float, progress: Progress | None = None, *, box: ArrayLike | None = None
+    ) -> DistanceField | None:
+        """The part of the distance field around a ``path`` (k, 3) m, with at least ``reach`` m beside it; near the
+        ground it is as accurate as the whole field."""
+        field, points = self.distance_field(progress, box=box, quick=True), np.asarray(path, dtype=float)
+        if field is None:
+            return None
+        part = field.crop(points.min(axis=0) - reach, points.max(axis=0) + reach)
+        if not self._by_height:
+            return part
+        assert self.terrain is not None
+        return exact_along(part, self.terrain, points, reach)
+
+    @property
+    def _by_height(self) -> bool:
+        """Whether distances are those to a height field alone."""
+        return self.terrain is not None and self.terrain.surface is None and not self.standing
 
     def clearance(
         self,
@@ -303,7 +329,7 @@ class World:
         """
         from vehsim.world.distance.route import find_route
 
-        return find_route(self.distance_field(box=box), start, goal, clearance, ceiling, self.height)
+        return find_route(self.distance_field(box=box, quick=True), start, goal, clearance, ceiling, self.height)
 
 
 def _water(water: Water | float | None) -> Water | None:

@@ -404,8 +404,7 @@ def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> S
         inside = (points.min(axis=0) > near[0] + ROOM / 2).all() and (points.max(axis=0) < near[1] - ROOM / 2).all()
         field = request.world.distance_field(progress, box=near if inside else room)
     else:
-        field = request.world.distance_field(progress, box=near)
-        field = None if field is None else field.crop(*room)
+        field = request.world.distance_field_along(points, ROOM, progress, box=near)
     moving = []
     for obstacle in request.world.moving:
         progress(f"measuring distances to {obstacle.name}", 0.0)

@@ -90,7 +90,8 @@ def _flown(request: Request, kept: Sequence[Mark], progress: Progress) -> list[A
     found = _searched(request, kept, progress, roomy, near)
     if found is None and wider:
         found = _searched(request, kept, progress, roomy, wider[0])
-    spacing = request.world.distance_field(progress, box=near).spacing  # the middle of a gap may be between its points
+    # the middle of a gap may be between the points of the field
+    spacing = request.world.distance_field(progress, box=near, quick=True).spacing
     found = shortened(found, tight)
     if found is None and wider:
         found = _searched(request, kept, progress, tight, wider[0])
@@ -131,7 +132,7 @@ def _routes(
     request: Request, kept: Sequence[Mark], progress: Progress, radius: float, box: Array | None
 ) -> list[Array]:
     """Routes of a ball of ``radius`` m in a ``box``; raises ``SolveError`` that names the leg without one."""
-    field = request.world.distance_field(progress, box=box)
+    field = request.world.distance_field(progress, box=box, quick=True)
     up = np.array([0, 0, balls(request.vehicle)[0][2]])
     ceiling = request.limits.get("ceiling")
     lid = ceiling + up[2] if math.isfinite(ceiling) else None

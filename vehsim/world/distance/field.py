@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-VERSION = 5
+VERSION = 6
 """Part of the name of every cached field: increase it if the same terrain would give another field."""
 MOST_KEPT = 500_000_000
 """Largest size of the cached fields, bytes: a hundred of usual size."""
@@ -215,6 +215,7 @@ def distance_field(
     progress: Progress | None = None,
     obstacles: Sequence[Obstacle] = (),
     known: dict[Any, NDArray[np.float32]] | None = None,
+    quick: bool = False,
 ) -> DistanceField:
     """The field of ``terrain`` and standing ``obstacles``.
 
@@ -249,9 +250,31 @@ def distance_field(
             distances = _lowered(known[grid], law, obstacles, lower, step, progress)
         return DistanceField(distances, lower, step, open=terrain is None)
     assert terrain is not None
-    content = (VERSION, terrain.content_hash, lower.tolist(), shape.tolist(), step)
-    body = kept("distance", content, lambda: _bytes_of(_around(terrain, lower, shape, step, progress)), MOST_KEPT)
+    make = _quickly if quick and terrain.surface is None else _around
+    content = (VERSION, make.__name__, terrain.content_hash, lower.tolist(), shape.tolist(), step)
+    body = kept("distance", content, lambda: _bytes_of(make(terrain, lower, shape, step, progress)), MOST_KEPT)
     return DistanceField(np.load(io.BytesIO(body), allow_pickle=False), lower, step)
+
+
+def exact_along(field: DistanceField, terrain: Terrain, path: Array, reach: float) -> DistanceField:
+    """A quick ``field``, exact where it is within `NEAR` and within ``reach`` m of a ``path`` (k, 3) m, seen from
+    above."""
+    axes = [field.lower[k] + field.spacing * np.arange(n) for k, n in enumerate(field.distances.shape)]
+    squares = np.full(field.distances.shape[:2], np.inf)
+    for x, y in _dense(path, field.spacing)[:, :2]:
+        np.minimum(squares, ((axes[0] - x) ** 2)[:, None] + (axes[1] - y) ** 2, out=squares)
+    distances, half = field.distances.copy(), field.spacing / 2
+    wanted = (distances > NEAR[0] - half) & (distances < NEAR[1] + half) & (squares <= reach**2)[..., None]
+    places = _places(axes, wanted)
+    distances[wanted] = np.copysign(_length(terrain.nearest(places) - places), distances[wanted])
+    return replace(field, distances=distances)
+
+
+def _dense(path: Array, step: float) -> Array:
+    """Points (n, 3) m on a ``path`` (k, 3) m, at most ``step`` m apart."""
+    length = np.concatenate([[0.0], np.cumsum(_length(np.diff(path, axis=0)))])
+    even = np.linspace(0.0, length[-1], int(np.ceil(length[-1] / step)) + 1)
+    return np.stack([np.interp(even, length, path[:, k]) for k in range(3)], axis=-1)
 
 
 def field_about(hulls: Sequence[Array], reach: float, points: int = AMONG) -> DistanceField:
@@ -372,7 +395,7 @@ def _around(
     axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
     known = _touched(terrain, lower, shape, step)
     feet, length = _feet(terrain, axes, known, progress, 0.0, 0.3)
-    away = _by_neighbours(axes, feet, known)
+    away, _ = _by_neighbours(axes, feet, known)
     below = _rock(terrain, axes, away)
     near = (away < np.where(below, -NEAR[0], NEAR[1]) + step / 2) & ~known
     more, lengths = _feet(terrain, axes, near, progress, 0.3, 1.0)
@@ -380,21 +403,48 @@ def _around(
     known, near = known[both], near[both]
     every = np.empty((len(known), 3))
     every[known], every[near] = feet, more
-    away = _by_neighbours(axes, every, both)
+    away, _ = _by_neighbours(axes, every, both)
     exact = np.empty(len(known))
     exact[known], exact[near] = length, lengths
     away[both] = exact
     return np.where(below, -away, away)
 
 
+def _quickly(
+    terrain: Terrain, lower: Array, shape: NDArray[np.int64], step: float, progress: Progress | None
+) -> NDArray[np.float32]:
+    """The same as `_around` in a third of the time, above a height field: never too small, but not all exact.
+
+    Surface points come from `HeightGrid.near`. Only where these are farther away than cells are wide, as beside cliffs,
+    the nearest ones are found exactly.
+    """
+    axes = [lower[k] + step * np.arange(shape[k]) for k in range(3)]
+    known = _touched(terrain, lower, shape, step)
+    places = _places(axes, known)
+    feet = terrain.near(places)
+    far = _length(feet - places) > step * np.sqrt(3)
+    if far.any():
+        feet[far] = terrain.nearest(places[far])
+    if progress is not None:
+        progress("measuring distances to the terrain", 0.3)
+    away, there = _by_neighbours(axes, feet, known)
+    below = _rock(terrain, axes, away)
+    near = (away < np.where(below, -NEAR[0], NEAR[1]) + step / 2) & ~known
+    places = _places(axes, near)
+    starts = lower + np.stack([part[near] for part in there], axis=-1)
+    away[near] = _length(terrain.near(places, starts, 2) - places)
+    if progress is not None:
+        progress("measuring distances to the terrain", 1.0)
+    return np.where(below, -away, away)
+
+
 def _touched(terrain: Terrain, lower: Array, shape: NDArray[np.int64], step: float) -> NDArray[np.bool_]:
     """The corners (nx, ny, nz) of all cells that the boxes around triangles overlap, or of the nearest cells to boxes
     beyond the grid. So the straight way from any other grid point to its neighbours crosses no triangle."""
-    triangles = terrain.vertices[terrain.faces]
     last = shape - 2
     first, end = (
         np.clip(np.floor((corner - lower) / step).astype(int), 0, last) + extra
-        for corner, extra in ((triangles.min(axis=1), 0), (triangles.max(axis=1), 2))
+        for corner, extra in zip(terrain.boxes(), (0, 2), strict=True)
     )
     size = tuple(shape + 1)
     count = np.zeros(np.prod(size), np.int64)
@@ -436,10 +486,12 @@ def _closest(known: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.asarray(number[tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))])
 
 
-def _by_neighbours(axes: Sequence[Array], feet: Array, known: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _by_neighbours(
+    axes: Sequence[Array], feet: Array, known: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
     """Distances (nx, ny, nz) m of the grid's points from the surface points of the closest of the ``known``
     (nx, ny, nz), which are ``feet`` (n, 3) m, or from that of one of their six neighbours if that is nearer, in single
-    precision."""
+    precision; and the coordinates of these surface points, from the grid's corner."""
     which = _closest(known)
     there = [(feet[:, k] - axis[0]).astype(np.float32)[which] for k, axis in enumerate(axes)]
     here = [
@@ -456,7 +508,7 @@ def _by_neighbours(axes: Sequence[Array], feet: Array, known: NDArray[np.bool_])
         np.copyto(squared[own], others, where=nearer)
         for part in there:
             np.copyto(part[own], part[other], where=nearer)
-    return np.sqrt(squared)
+    return np.sqrt(squared), there
 
 
 def _squared(a: Sequence[NDArray[np.float32]], b: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -471,7 +523,8 @@ def _rock(terrain: Terrain, axes: Sequence[Array], away: NDArray[np.float32]) ->
     surface.
     """
     if terrain.surface is None:
-        return _below(terrain, _grid(*axes))
+        ground = terrain.height(_grid(axes[0], axes[1], axes[2][:1])[..., :2]).reshape(len(axes[0]), -1)
+        return np.asarray(axes[2] < ground[..., None])
     even = [np.arange(len(axis)) // 2 * 2 for axis in axes]
     some = _grid(*(axis[::2] for axis in axes))
     below = terrain.below(some).reshape(some.shape[:3])[np.ix_(*(index // 2 for index in even))]

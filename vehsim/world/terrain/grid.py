@@ -91,11 +91,50 @@ class HeightGrid:
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         return np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
 
+    def boxes(self) -> tuple[Array, Array]:
+        """The lower and upper corners (n, 3), (n, 3) m of boxes around the triangles: around the two of every cell of a
+        height field, around each of a surface."""
+        if self.surface is not None:
+            triangles = self.vertices[self.faces]
+            return triangles.min(axis=1), triangles.max(axis=1)
+        corners = self.vertices.reshape(*self.heights.shape, 3)
+        first, last = corners[:-1, :-1].copy(), corners[1:, 1:].copy()
+        heights = [self.heights[r : r - 1 or None, c : c - 1 or None] for r in (0, 1) for c in (0, 1)]
+        first[..., 2], last[..., 2] = np.minimum.reduce(heights), np.maximum.reduce(heights)
+        return first.reshape(-1, 3), last.reshape(-1, 3)
+
     def nearest(self, points: ArrayLike) -> Array:
         """The points (n, 3) m of the triangles that are closest to ``points`` (n, 3) m."""
         points = np.ascontiguousarray(points, dtype=float).reshape(-1, 3)
         _, _, there = self._tree.squared_distance(self.vertices, self.faces, points)
         return np.asarray(there)
+
+    def near(self, points: ArrayLike, starts: ArrayLike | None = None, steps: int = 3) -> Array:
+        """Surface points (n, 3) m of a height field that are almost as close to ``points`` (n, 3) m as the `nearest`
+        ones, in a tenth of the time.
+
+        From the surface at the horizontal places of ``starts`` (n, 3) m (default: straight above or below), each step
+        moves to the closest point of the plane of the triangle there, or half as far where that is no closer. Beside
+        cliffs, another place may be closer.
+        """
+        x, y, z = np.asarray(points, dtype=float).reshape(-1, 3).T
+        low, high = self.lower, self.upper
+        start = (x, y) if starts is None else np.asarray(starts, dtype=float).reshape(-1, 3).T
+        u, v = (np.clip(start[axis], low[axis], high[axis]) for axis in (0, 1))
+        found = [u, v, *self._planes(np.stack([u, v], axis=-1))]
+        squares, share = (x - u) ** 2 + (y - v) ** 2 + (z - found[2]) ** 2, np.ones(len(x))
+        for _ in range(steps):
+            u, v, h, along_x, along_y = found
+            above = (z - h - along_x * (x - u) - along_y * (y - v)) / (1 + along_x**2 + along_y**2)
+            tried = np.clip(u + share * (x + along_x * above - u), low[0], high[0])
+            beside = np.clip(v + share * (y + along_y * above - v), low[1], high[1])
+            there = [tried, beside, *self._planes(np.stack([tried, beside], axis=-1))]
+            others = (x - tried) ** 2 + (y - beside) ** 2 + (z - there[2]) ** 2
+            nearer = others < squares
+            for own, other in zip((*found, squares), (*there, others), strict=True):
+                np.copyto(own, other, where=nearer)
+            share = np.where(nearer, 1.0, share / 2)
+        return np.stack(found[:3], axis=-1)
 
     @cached_property
     def _tree(self) -> Any:
@@ -155,12 +194,24 @@ class HeightGrid:
 
     def _on_grid(self, xy: Array) -> Array:
         """Height (n,) m of the grid's triangles at ``xy`` (n, 2) m."""
+        u, v, a, b, c, d = self._corners(xy)
+        return np.asarray(a + np.where(u >= v, u * (b - a) + v * (d - b), v * (c - a) + u * (d - c)))
+
+    def _planes(self, xy: Array) -> tuple[Array, Array, Array]:
+        """Height (n,) m of the grid's triangles at ``xy`` (n, 2) m, and their slopes (n,) along x and y."""
+        u, v, a, b, c, d = self._corners(xy)
+        right = u >= v
+        along_x, along_y = np.where(right, b - a, d - c), np.where(right, d - b, c - a)
+        return a + u * along_x + v * along_y, along_x / self.cell[0], along_y / self.cell[1]
+
+    def _corners(self, xy: Array) -> tuple[Array, ...]:
+        """The place (n,), (n,) of ``xy`` (n, 2) m in its cell, from 0 to 1, and the heights (n,) of its corners a, b
+        and, in the next row, c, d."""
         rows, cols = self.heights.shape
         u, v = self._cells(xy)
         col, row = np.minimum(u.astype(int), cols - 2), np.minimum(v.astype(int), rows - 2)
-        u, v, first = u - col, v - row, row * cols + col
-        a, b, c, d = (self._row_by_row.take(first + more) for more in (0, 1, cols, cols + 1))
-        return np.asarray(a + np.where(u >= v, u * (b - a) + v * (d - b), v * (c - a) + u * (d - c)))
+        first = row * cols + col
+        return u - col, v - row, *(self._row_by_row.take(first + more) for more in (0, 1, cols, cols + 1))
 
     def _cells(self, xy: Array) -> tuple[Array, Array]:
         """Columns and rows (n,) of ``xy`` (n, 2) m, with fractions; beyond the borders, those of the closest border
