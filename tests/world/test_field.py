@@ -128,7 +128,7 @@ def test_a_quick_field_is_never_too_small_and_asks_for_few_nearest_points(monkey
     assert few < 0.2 * (sum(asked) - few)
     assert (np.sign(quick.distances) == np.sign(exact.distances)).all()
     error, near = np.abs(quick.distances) - np.abs(exact.distances), (exact.distances > -4) & (exact.distances < 8)
-    assert error[near].min() > -1e-4 and error[near].mean() < typical and error[near].max() < 0.8
+    assert error[near].min() > -1e-4 and error[near].mean() < typical and error[near].max() < 1.0
 
 
 @pytest.mark.parametrize("terrain", [hills(), crags()], ids=["hills", "crags"])
