@@ -62,6 +62,7 @@ def helicopter(
     drag_linear: Annotated[Sequence[LinearDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     drag_quadratic: Annotated[Sequence[QuadraticDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
     drag_angular: Annotated[Sequence[JointDamping], Len(3, 3)] = (0.0, 0.0, 0.0),
+    hub_drag: Area = 0.0,
     fuselage_moments: Annotated[Sequence[MomentVolume], Len(3, 3)] = (0.0, 0.0, 0.0),
     stabiliser_area: Area = 0.0,
     stabiliser_behind: Annotated[Distance, With("stabiliser_area")] = 0.0,
@@ -84,9 +85,10 @@ def helicopter(
     ``induced_factor``: see `Rotor`. ``lock_number``: lift of a blade over its inertia, ``rho a c R^4 / I``; with it,
     blades cone with the thrust, on a channel that starts at ``blades_up`` rad, the coning of the asset at rest.
     Against the air: ``drag_linear`` N s/m and ``drag_quadratic`` N s^2/m^2 per body axis, ``drag_angular`` N m s;
-    ``fuselage_moments`` m^3, moments over dynamic pressure: nose-up at zero incidence, nose-up per angle of attack, and
-    nose-right per sideslip to the right. Stabiliser and fin: area times lift slope, m^2; distance behind the centre of
-    mass; angles that lift the tail and push it to the right.
+    ``hub_drag`` m^2, drag of hub and mast over dynamic pressure, at the place of the thrust; ``fuselage_moments`` m^3,
+    moments over dynamic pressure: nose-up at zero incidence, nose-up per angle of attack, and nose-right per sideslip
+    to the right. Stabiliser and fin: area times lift slope, m^2; distance behind the centre of mass; angles that lift
+    the tail and push it to the right.
     """
     main, tail = (
         Rotor(radius, speed, blades, profile_drag, induced_factor)
@@ -148,6 +150,9 @@ def helicopter(
         if rotor_radius:
             in_plane = -main.drag * ca.vertcat(v[0], v[1], 0)
             force, moment = force + in_plane, moment + ca.cross(hub, in_plane)
+        if hub_drag:
+            behind = -AIR / 2 * hub_drag * speed * v
+            force, moment = force + behind, moment + ca.cross(hub, behind)
         for axis, area, place, angle in surfaces:
             push = ca.SX(3, 1)
             push[axis] = -AIR / 2 * area * speed * (v[axis] + angle * speed)
@@ -160,7 +165,7 @@ def helicopter(
         return main.coning(thrust, lock_number) - blades_up if cones else 0 * thrust
 
     has_drag = any((*drag_linear, *drag_quadratic, *drag_angular, *fuselage_moments))
-    has_drag = has_drag or bool(rotor_radius or stabiliser_area or fin_area)
+    has_drag = has_drag or bool(rotor_radius or hub_drag or stabiliser_area or fin_area)
     return Holonomic(
         name=name,
         group=SO3xR3,
