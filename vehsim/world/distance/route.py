@@ -22,8 +22,9 @@ NODES = 400_000
 """Largest number of grid points in a search: a larger grid is thinned."""
 FEW = 30_000
 """Number of grid points that are searched at once."""
-CORRIDOR = 1.25
-"""Largest cost of a path in the corridor of a large grid, over the least that it could be."""
+CORRIDORS = (1.06, 1.25)
+"""Largest cost of a path in the corridors of a large grid that are searched in turn, over the least that it could be:
+most paths cost at most 1.04 of that."""
 SHY = 4.0
 """At the clearance limit, a metre costs 1 + SHY times as much as in the open."""
 COMFORT = 8.0
@@ -131,55 +132,66 @@ class _Search:
         if levels == 0:
             return None
         distance = self.distance[:, :, :levels]
-        candidates = np.argwhere(distance > -self.step)
-        where = self.field.lower + self.step * candidates
-        value = distance[tuple(candidates.T)]
-        free = value >= self.demanded(where)
-        nodes, where, cost = candidates[free], where[free], self.cost(value[free])
-        near = [self._reach(end, where) for end in self.ends]
+        free = self._free(distance)
+        nodes, cost = np.argwhere(free), self.cost(distance[free])
+        near = [self._reach(end, nodes) for end in self.ends]
         if min(map(len, near)) == 0:
             return None
         if len(nodes) > FEW:
-            inside, most = self._corridor(nodes, where, cost, near)
-            if not np.isfinite(most):
+            through, block = self._through(nodes, cost, near)
+            least = float(through.min())
+            if not np.isfinite(least):
                 return None
-            kept = np.cumsum(inside) - 1
-            reached = [kept[each[inside[each]]] for each in near]
-            path, length = self._cheapest(nodes[inside], where[inside], cost[inside], reached)
-            if length <= most:
-                return path
-        return self._cheapest(nodes, where, cost, near)[0]
+            for factor in CORRIDORS:
+                # a path's ends, and where it crosses a block, may be this much farther
+                inside = (through <= factor * least + 4 * self.step * (1 + SHY))[block]
+                kept = np.cumsum(inside) - 1
+                reached = [kept[each[inside[each]]] for each in near]
+                path, length = self._cheapest(nodes[inside], cost[inside], reached)
+                if length <= factor * least:
+                    return path
+        return self._cheapest(nodes, cost, near)[0]
 
-    def _corridor(
-        self, nodes: NDArray[np.int64], where: Array, cost: Array, near: Sequence[NDArray[np.int64]]
-    ) -> tuple[NDArray[np.bool_], float]:
-        """Which nodes (n,) a path may use that costs at most the second result; inf if the ends are not connected.
+    def _free(self, distance: Array) -> NDArray[np.bool_]:
+        """Which grid points (nx, ny, nz) with these distances a path may use."""
+        free = distance >= self.clearance
+        for end, here in zip(self.ends, self.at_ends, strict=True):
+            reach = 2 * (self.clearance - max(here, 0.0) + self.field.spacing)  # beyond, `demanded` is the clearance
+            low, high = ((end + side * reach - self.field.lower) / self.step for side in (-1, 1))
+            box = tuple(slice(max(int(a), 0), max(int(b) + 2, 0)) for a, b in zip(low, high, strict=True))
+            indices = np.stack(np.meshgrid(*(np.arange(n)[part] for n, part in zip(free.shape, box, strict=True)),
+                                           indexing="ij"), axis=-1)  # fmt: skip
+            wanted = self.demanded((self.field.lower + self.step * indices).reshape(-1, 3)).reshape(indices.shape[:3])
+            free[box] = (distance[box] >= wanted) & (distance[box] > -self.step)
+        return free
 
-        Blocks of eight nodes, each as cheap as the cheapest of them, tell the least cost of a path through each.
-        """
+    def _through(
+        self, nodes: NDArray[np.int64], cost: Array, near: Sequence[NDArray[np.int64]]
+    ) -> tuple[Array, NDArray[np.int64]]:
+        """About the least cost (blocks,) of a path through each block of eight nodes, all as cheap as the cheapest of
+        them, and the block (n,) of each node; inf if the ends are not connected."""
         shape = tuple(nodes.max(axis=0) // 2 + 1)
-        blocks, block = np.unique(np.ravel_multi_index(tuple(nodes.T // 2), shape), return_inverse=True)
-        least = np.full(len(blocks), np.inf)
+        block = np.ravel_multi_index(tuple(nodes.T // 2), shape)
+        least = np.full(np.prod(shape), np.inf)
         np.minimum.at(least, block, cost)
-        number = np.full(shape, -1)
-        number.flat[blocks] = np.arange(len(blocks))
+        blocks = np.flatnonzero(np.isfinite(least))
+        number = np.empty(len(least), np.int64)
+        number[blocks] = np.arange(len(blocks))
+        block = number[block]
         ends = [np.unique(block[each]) for each in near]
-        graph = _graph(_edges(number, least, 2 * self.step), len(blocks), ends, [np.zeros(len(end)) for end in ends])
-        through = np.sum(_dijkstra(graph, [len(blocks), len(blocks) + 1]), axis=0)[: len(blocks)]
-        most = CORRIDOR * float(through.min())
-        return (through <= most + 4 * self.step * (1 + SHY))[block] & np.isfinite(through)[block], most
+        where = np.stack(np.unravel_index(blocks, shape), axis=-1)
+        graph = _graph(where, least[blocks], 2 * self.step, ends, [np.zeros(len(end)) for end in ends])
+        return np.sum(_dijkstra(graph, [len(blocks), len(blocks) + 1]), axis=0)[: len(blocks)], block
 
     def _cheapest(
-        self, nodes: NDArray[np.int64], where: Array, cost: Array, near: Sequence[NDArray[np.int64]]
+        self, nodes: NDArray[np.int64], cost: Array, near: Sequence[NDArray[np.int64]]
     ) -> tuple[Array | None, float]:
-        """The cheapest path over the ``nodes`` (n, 3) at ``where`` (n, 3) m, and its cost; None, inf without one.
-        ``near``: the nodes connected to each end."""
-        number = np.full(nodes.max(axis=0) + 1, -1)
-        number[tuple(nodes.T)] = np.arange(len(nodes))
+        """The cheapest path over the ``nodes`` (n, 3), and its cost; None, inf without one. ``near``: the nodes
+        connected to each end."""
+        where = self.field.lower + self.step * nodes
         away = [np.linalg.norm(where[each] - end, axis=1) for each, end in zip(near, self.ends, strict=True)]
         size = len(nodes) + 2
-        graph = _graph(_edges(number, cost, self.step), len(nodes), near, away)
-        length, previous = _dijkstra(graph, size - 2, return_predecessors=True)
+        length, previous = _dijkstra(_graph(nodes, cost, self.step, near, away), size - 2, return_predecessors=True)
         if not np.isfinite(length[size - 1]):
             return None, np.inf
         path = [size - 1]
@@ -187,10 +199,10 @@ class _Search:
             path.append(int(previous[path[-1]]))
         return np.concatenate([where, self.ends])[path[::-1]], float(length[size - 1])
 
-    def _reach(self, end: Array, where: Array) -> NDArray[np.int64]:
+    def _reach(self, end: Array, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
         """The nodes connected to an end: those of its cell, or straight below it if it is above the box."""
-        inside = np.clip(end, self.field.lower, self.field.upper)
-        return np.flatnonzero(np.abs(where - inside).max(axis=1) <= 1.01 * self.step)
+        inside = (np.clip(end, self.field.lower, self.field.upper) - self.field.lower) / self.step
+        return np.flatnonzero((np.abs(nodes - inside) <= 1.01).all(axis=1))
 
     def sample(self, a: Array, b: Array) -> tuple[bool, float]:
         """Whether the straight line from ``a`` to ``b`` (3,) is free, and its cost."""
@@ -232,37 +244,29 @@ class _Search:
         return points
 
 
-def _graph(edges: tuple[list, list, list], count: int, near: Sequence[NDArray[np.int64]], away: Sequence[Array]) -> Any:
-    """The graph of ``count`` nodes and two ends after them, which are ``away`` m from the nodes ``near`` them."""
-    from scipy.sparse import coo_matrix
+def _graph(
+    nodes: NDArray[np.int64], cost: Array, step: float, near: Sequence[NDArray[np.int64]], away: Sequence[Array]
+) -> Any:
+    """The graph of grid ``nodes`` (n, 3) in their order, connected to their neighbours, once each, and two ends after
+    them, which are ``away`` m from the nodes ``near`` them."""
+    from scipy.sparse import csr_matrix
 
-    rows, cols, weights = edges
-    for k, (reached, length) in enumerate(zip(near, away, strict=True)):
-        rows.append(np.full(len(reached), count + k))
-        cols.append(reached)
-        weights.append(length + 1e-9)
-    entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(cols)))
-    return coo_matrix(entries, shape=(count + 2, count + 2)).tocsr()
+    size = nodes.max(axis=0) + 3  # a border of one
+    strides = np.array([size[1] * size[2], size[2], 1])
+    places = (nodes + 1) @ strides
+    number = np.full(np.prod(size), -1, np.int32)
+    number[places] = np.arange(len(nodes))
+    ways = np.array([way for way in product((-1, 0, 1), repeat=3) if way > (0, 0, 0)])
+    there = number[places[:, None] + ways @ strides]
+    both = there >= 0
+    weights = (cost[:, None] + cost[there]) * (0.5 * step * np.linalg.norm(ways, axis=1))
+    count = [*both.sum(axis=1), *map(len, near)]
+    entries = np.concatenate([weights[both], *(length + 1e-9 for length in away)])
+    columns, starts = np.concatenate([there[both], *near]), np.concatenate([[0], np.cumsum(count)])
+    return csr_matrix((entries, columns, starts), shape=(len(nodes) + 2, len(nodes) + 2))
 
 
 def _dijkstra(graph: Any, start: Any, **given: Any) -> Any:
     from scipy.sparse.csgraph import dijkstra
 
     return dijkstra(graph, directed=False, indices=start, **given)
-
-
-def _edges(number: NDArray[np.int64], cost: Array, step: float) -> tuple[list, list, list]:
-    """The graph's edges between grid neighbours, each once: lists of arrays of rows, columns and weights."""
-    rows, cols, weights = [], [], []
-    for offset in product((-1, 0, 1), repeat=3):
-        if offset <= (0, 0, 0):
-            continue
-        here = tuple(slice(max(0, -o), n - max(0, o)) for o, n in zip(offset, number.shape, strict=True))
-        there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, number.shape, strict=True))
-        a, b = number[here].ravel(), number[there].ravel()
-        both = (a >= 0) & (b >= 0)
-        a, b = a[both], b[both]
-        rows.append(a)
-        cols.append(b)
-        weights.append(0.5 * (cost[a] + cost[b]) * step * np.linalg.norm(offset))
-    return rows, cols, weights
