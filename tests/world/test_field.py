@@ -86,6 +86,18 @@ def test_derivatives_are_those_of_the_values(field):
         np.testing.assert_allclose(curvature, (ahead - behind) / 2e-4, atol=1e-3)
 
 
+def test_models_are_the_values_without_a_copy_of_the_table(field):
+    """A copy at each call would take as long as the rest; other solvers than IPOPT differentiate the models."""
+    points = np.random.default_rng(5).uniform(field.lower - 5, field.upper + 5, (40, 3))
+    models = field.models(40)
+    assert models.sz_w() < field._coefficients.size / 10
+    found = np.array(models(points.T))
+    np.testing.assert_allclose(found[0], field.value(points), atol=1e-9)
+    place = casadi.MX.sym("p", 3, 40)
+    slopes = casadi.Function("slopes", [place], [casadi.gradient(casadi.sum2(models(place)[0, :]), place)])
+    np.testing.assert_allclose(np.array(slopes(points.T)), found[1:4], atol=1e-9)
+
+
 def crags():
     rng = np.random.default_rng(4)
     x, y = np.meshgrid(np.arange(0, 61, 3.0), np.arange(0, 41, 3.0))

@@ -122,32 +122,40 @@ class DistanceField:
         """
         import casadi
 
-        first, near, evaluate, table = self._kernels[order]
+        first, evaluate = self._kernels[order]
+        if count not in self._gathers:
+            self._gathers[count] = _gather(*self._table, count)
         points = casadi.MX.sym("points", 3, count)
-        gathered = table.get_nz(False, near, casadi.vec(first.map(count)(points)))  # (64, count)
-        known = evaluate.map(count)(points, gathered)
+        known = evaluate.map(count)(points, self._gathers[count](first.map(count)(points)))
         beyond = casadi.DM.zeros(10 - known.shape[0], count)
         return casadi.Function("models", [points], [casadi.vertcat(known, beyond)])
 
     @cached_property
     def _kernels(self) -> list[Any]:
-        """By order: the index of the first of a point's 64 coefficients, the coordinates relative to it, their weights,
-        and all of these."""
+        """By order: the index of the first of a point's 64 coefficients, and the values by these coefficients."""
         import casadi
 
         shape = self._coefficients.shape
         strides = (1, shape[0], shape[0] * shape[1])
-        near = [sum(s * i for s, i in zip(strides, at, strict=True)) for at in np.ndindex(4, 4, 4)]
         point, coefficients = casadi.SX.sym("point", 3), casadi.SX.sym("c", 64)
         inside = casadi.fmin(casadi.fmax(point, self.lower), self.upper)
         index = (inside - self.lower) / self.spacing
         first = casadi.fmax(casadi.fmin(casadi.floor(index), casadi.DM(shape) - 4), 0)
         place = casadi.Function("place", [point], [casadi.dot(first, casadi.DM(strides))])
-        offsets = casadi.MX(casadi.DM(near))
         values = _second_order(self, point, inside, index - first, coefficients)
-        table = casadi.MX(casadi.DM(self._coefficients.ravel(order="F")))
         rows = [casadi.cse(values[:rows]) for rows in (1, 4, 10)]
-        return [(place, offsets, casadi.Function("evaluate", [point, coefficients], [row]), table) for row in rows]
+        return [(place, casadi.Function("evaluate", [point, coefficients], [row])) for row in rows]
+
+    @cached_property
+    def _table(self) -> tuple[Array, NDArray[np.intp]]:
+        """All coefficients, first index fastest, and where those of a cell are, relative to its first."""
+        strides = np.cumprod([1, *self._coefficients.shape[:2]])
+        return self._coefficients.ravel(order="F"), np.array([strides @ at for at in np.ndindex(4, 4, 4)])
+
+    @cached_property
+    def _gathers(self) -> dict[int, Any]:
+        """By number of points: what `_gather` returned, which must live as long as functions that contain it."""
+        return {}
 
     @cached_property
     def function(self) -> Any:
@@ -162,6 +170,49 @@ class DistanceField:
         inside = casadi.fmin(casadi.fmax(point, self.lower), self.upper)
         value = spline((inside - self.lower) / self.spacing) - _beyond(self, point, inside)
         return casadi.Function("distance", [point], [value])
+
+
+def _gather(table: Array, near: NDArray[np.intp], count: int) -> Any:
+    """A casadi ``Function``, indices (1, count) of cells' first coefficients -> their coefficients (64, count), which
+    are ``near`` (64,) these in the ``table``.
+
+    CasADi would copy a table of all coefficients at each call, which takes as long as the rest of a model.
+    """
+    import casadi
+
+    class Gather(casadi.Callback):  # type: ignore[misc]  # CasADi has no types
+        def __init__(self) -> None:
+            super().__init__()
+            self.construct("gather", {})
+
+        def get_n_in(self) -> int:
+            return 1
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_sparsity_in(self, i: int) -> Any:
+            return casadi.Sparsity.dense(1, count)
+
+        def get_sparsity_out(self, i: int) -> Any:
+            return casadi.Sparsity.dense(64, count)
+
+        def has_jacobian(self, *_: Any) -> bool:
+            return True
+
+        def get_jacobian(self, name: str, inputs: Any, outputs: Any, options: Any) -> Any:
+            given = [casadi.MX.sym("first", 1, count), casadi.MX.sym("gathered", 64, count)]
+            return casadi.Function(name, given, [casadi.MX(64 * count, count)], inputs, outputs, options)
+
+        def has_eval_buffer(self) -> bool:
+            return True
+
+        def eval_buffer(self, arguments: Any, results: Any) -> int:
+            first = np.frombuffer(arguments[0]).astype(np.intp)
+            np.take(table, first[:, None] + near, out=np.frombuffer(results[0]).reshape(count, 64), mode="clip")
+            return 0
+
+    return Gather()
 
 
 def _beyond(field: DistanceField, point: Any, inside: Any) -> Any:
