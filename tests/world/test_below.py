@@ -8,6 +8,9 @@ import pytest
 
 import vehsim
 from vehsim.constants import GRAVITY
+from vehsim.integrators import continuous
+from vehsim.planning.constraints.mark_constraints import mark_element
+from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.trim import steady
 from vehsim.vehicles.models.rotor import Rotor
 from vehsim.world.ground.below import above_ground, above_marks
@@ -103,3 +106,35 @@ def test_plan_and_simulation_feel_the_same_ground(heli):
     assert turned(world) < 2.0
     assert turned(vehsim.World()) > 60.0
     assert clip.controls[-1, 1] < 0.95 * clip.controls[0, 1]
+
+
+def test_plans_look_up_the_ground_below_instead_of_writing_it_out(heli):
+    """The same balance at a mark, with a twentieth of the operations."""
+    t = transcribe(above_ground(heli, vehsim.World("hills")))
+    mark = vehsim.Mark(frame=1, position=(12.0, -7, 30), velocity=(0, 0, 0))
+    looked_up, written = (mark_element(t, mark, everywhere=everywhere) for everywhere in (False, True))
+    assert looked_up.hessian[0].n_instructions() < 0.1 * written.hessian[0].n_instructions()
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        y, p = rng.uniform(-1, 1, written.y.shape[0]), rng.uniform(0, 1, written.given)
+        place = np.asarray(looked_up.points(y, p))
+        models = np.concatenate([p, place.ravel(), np.asarray(t.ground.cells(1)(place)).ravel()])
+        for a, b in zip(looked_up.value(y, models), written.value(y, p), strict=True):
+            np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-9)
+
+
+def test_executed_controls_look_up_the_ground_below(heli, monkeypatch):
+    """The same motion as by the equations with the whole relief written out."""
+    vehicle = above_ground(heli, vehsim.World("hills"))
+    ground = float(vehicle.ground.heights([[12.0, -7.0]])[0])
+    law, whole = continuous.local_equations(vehicle)[0], continuous.equations_of_motion(vehicle)
+    assert law.n_instructions() < 0.2 * whole.n_instructions()
+    g = np.asarray(vehicle.group.from_pose(np.array([12.0, -7, ground + 4, 1, 0, 0, 0]))).ravel()
+    still = steady(vehicle, (0.0, 0.0, 0.0)).controls
+    controls, steps = np.tile(still, (4, 1)) * np.array([[1.0], [1.02], [1.0], [0.99]]), np.full(3, 0.4)
+    states = [g, np.zeros(len(vehicle.joints)), np.zeros(6)]
+    found = continuous.execute(vehicle, *states, controls, steps, np.zeros(3))
+    monkeypatch.setattr(continuous, "local_equations", lambda own: (whole, None))
+    monkeypatch.setattr(continuous, "_rk4_step", continuous._rk4_step.__wrapped__)
+    for a, b in zip(found, continuous.execute(vehicle, *states, controls, steps, np.zeros(3)), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)

@@ -13,6 +13,7 @@ def built_once(method: Callable[..., Any]) -> Callable[..., Any]:
     """Let ``method(self, x, ...)`` build its expression, or tuple of expressions, once per object and argument sizes.
 
     Every call with ``SX`` columns, or numbers that become them, inserts its arguments into what the first call built.
+    Symbols that belong to the object itself stay what they are.
     """
 
     @functools.wraps(method)
@@ -27,7 +28,11 @@ def built_once(method: Callable[..., Any]) -> Callable[..., Any]:
             symbols = [ca.SX.sym(f"x{i}", *shape) for i, shape in enumerate(shapes)]
             made = method(self, *symbols)
             results = [ca.SX(x) for x in made] if isinstance(made, tuple) else [ca.SX(made)]
-            kept[key] = ca.Function(method.__name__.strip("_"), symbols, results)
-        return kept[key](*columns)
+            name = method.__name__.strip("_")
+            built = ca.Function(name, symbols, results, {"allow_free": True})
+            own = built.free_sx() if built.has_free() else []
+            kept[key] = ca.Function(name, [*symbols, *own], results) if own else built, own
+        built, own = kept[key]
+        return built(*columns, *own)
 
     return call

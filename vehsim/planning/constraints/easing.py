@@ -114,7 +114,8 @@ def balance_element(transcription: Transcription, price: float, on_ground: bool 
         v = transcription.symbols("x", "c0")
         off = imbalance(transcription, v["x"], v["c0"])
         f = price * _abrupt(ca.vertcat(off[:3], off[5]) if on_ground and off.shape[0] == 6 else off)
-        return Element("balance", ca.vertcat(*v.values()), transcription.air, f=f)
+        space = transcription.space(transcription.split(v["x"])[0])
+        return Element("balance", ca.vertcat(*v.values()), transcription.air, f=f, space=space)
 
     return transcription.kept(("balance", price, on_ground), make)
 

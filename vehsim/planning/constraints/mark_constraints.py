@@ -130,11 +130,14 @@ def mark_values(mark: Mark) -> dict[str, Array]:
     return values
 
 
-def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = None) -> Element | None:
+def mark_element(
+    transcription: Transcription, mark: Mark, known: Mark | None = None, everywhere: bool = False
+) -> Element | None:
     """The constraints of a mark at its knot: (x, c0).
 
     Parameters: those of `Transcription.air`, and the mark's values by key (see `mark_values`). ``known``: a mark whose
-    state holds anyway, as in a loop; its constraints are not repeated.
+    state holds anyway, as in a loop; its constraints are not repeated. ``everywhere``: the relief of the ground is
+    written out, with a hundred times as many operations, and not looked up.
     """
     v = transcription.symbols("x", "c0")
     x, c = v["x"], v["c0"]
@@ -148,7 +151,7 @@ def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = 
         return {
             "position": _place(transcription, mark, view, wanted),
             attitude: _attitude(transcription, mark, root_pose(transcription.vehicle, g), wanted),
-            "velocity (balance)": _equal(imbalance(transcription, x, c)) if balance else [],
+            "velocity (balance)": _equal(imbalance(transcription, x, c, everywhere)) if balance else [],
             "speed" if mark.velocity is None else "velocity": _motion(transcription, mark, view, x, c, wanted),
             "joints": _joints(mark, view, wanted),
             "hold": [(c[k], 0.0, 0.0) for _, k in transcription.vehicle.driven] if mark.hold else [],
@@ -162,9 +165,11 @@ def mark_element(transcription: Transcription, mark: Mark, known: Mark | None = 
         return None
     rows, lower, upper = zip(*(row for rows in fixed.values() for row in rows), strict=True)
     y, given = ca.vertcat(*v.values()), {key: wanted[key] for key in sizes if getattr(mark, key) is not None}
+    space = transcription.space(g) if "velocity (balance)" in labels and not everywhere else None
     return Element(
-        "mark", y, {**transcription.air, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels
-    )
+        "mark", y, {**transcription.air, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels,
+        space=space,
+    )  # fmt: skip
 
 
 def asks_balance(vehicle: Vehicle, mark: Mark) -> bool:
@@ -214,9 +219,11 @@ def same_state(transcription: Transcription, x: Expr, c: Expr, x1: Expr, c1: Exp
     return ca.vertcat(shown, *(r1[i] - r[i] for i in kept), (pi1 - pi) / transcription.momentum_scale, c1 - c)
 
 
-def imbalance(transcription: Transcription, x: Expr, c: Expr) -> Expr:
-    """Acceleration along the free velocities of a vehicle at rest, (n_z,), in the symbols of `Transcription.air`."""
-    vehicle, (g, r, _) = transcription.in_air, transcription.split(x)
+def imbalance(transcription: Transcription, x: Expr, c: Expr, everywhere: bool = False) -> Expr:
+    """Acceleration along the free velocities of a vehicle at rest, (n_z,), in the symbols of `Transcription.air` and,
+    unless ``everywhere``, of `Transcription.space`."""
+    vehicle = transcription.in_air if everywhere else transcription.local_in_air[1]
+    g, r, _ = transcription.split(x)
     still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
     forces = vehicle.force(g, r, *still, c * transcription.control_scale, transcription.air["wind"])
     weight = conservative(vehicle, g, r)

@@ -66,7 +66,7 @@ def _remedy(transcription: Transcription, mark: Mark, wind: Any, windy: bool) ->
 
 def least_push(transcription: Transcription, mark: Mark, wind: Any) -> tuple[float, float]:
     """The smallest residual, m/s^2 and rad/s^2, that any controls leave at a mark, and the heading for it, deg."""
-    element = mark_element(transcription, mark)
+    element = mark_element(transcription, mark, everywhere=True)
     assert element is not None
     solver, rows = _solver(transcription, element)
     kept = [i for i, label in enumerate(element.labels) if label != BALANCE]

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.integrators.discrete import NEWTON_STEPS
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.trajectory import Trajectory
 
@@ -18,7 +19,7 @@ def prolongate(trajectory: Trajectory, fine: Layout) -> Array:
     transcription, coarse, x = trajectory.transcription, trajectory.layout, trajectory.x
     if fine.segments == coarse.segments:
         return x.copy()
-    m, split = transcription.mechanics, fine.segments // coarse.segments
+    split = fine.segments // coarse.segments
     k = np.arange(coarse.segments)
     state, z = x[coarse.knot(k)], x[coarse.velocity(k)]
     cuts = np.cumsum([0, *transcription.sizes[:3]])
@@ -29,12 +30,16 @@ def prolongate(trajectory: Trajectory, fine: Layout) -> Array:
     air = np.tile(trajectory.request.wind[:, None], len(k))
 
     y = np.zeros(fine.size)
-    advance = m.advance.map(len(k)) if len(k) > 1 else m.advance
+    newton, end = (step.map(len(k)) for step in transcription.newton)
+    cells = transcription.cells(len(k))
     for j in range(split):
         here, ends = k * split + j, [c0 + (j + end) / split * (c1 - c0) for end in (0, 1)]
         y[fine.control(here)] = ends[0] / transcription.control_scale[:, None]
         y[fine.knot(here)] = np.vstack([g, r, pi / transcription.momentum_scale[:, None]])
-        g, r, pi, z, _ = (np.asarray(v) for v in advance(g, r, pi, z, *ends, h, air))
+        given = g, r, pi, *ends, h, air, cells(g)
+        for _ in range(NEWTON_STEPS):
+            z = newton(z, *given)
+        g, r, pi, z = (np.asarray(v) for v in (*end(z, *given), z))
         y[fine.velocity(here)] = z
     y[fine.knot(fine.segments)] = x[coarse.knot(coarse.segments)]
     y[fine.control(fine.segments)] = x[coarse.control(coarse.segments)]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.integrators import DiscreteMechanics
-from vehsim.integrators.continuous import equations_of_motion
+from vehsim.integrators.continuous import local_equations
 from vehsim.integrators.discrete import mechanics_of
 from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.planning.problem.elements import Element, SpatialField
@@ -63,7 +63,7 @@ class Transcription:
     @cached_property
     def idle(self) -> list[int]:
         """Joints that influence neither the motion nor a limit, such as a wheel's roll."""
-        law = equations_of_motion(self.vehicle)  # executes controls anyway, so that it costs nothing
+        law, _ = local_equations(self.vehicle)  # executes controls anyway, so that it costs nothing
         moving = {joint for rate in (0, 2) for joint in law.jac_sparsity(rate, 1).get_triplet()[1]}
         named = enumerate(self.vehicle.joints)
         return [i for i, name in named if name not in self.vehicle.joint_limits and i not in moving]
@@ -132,6 +132,30 @@ class Transcription:
         cell = ca.SX.sym("cell", law.CELL)
         return cell, replace(self.vehicle, **{field: replace(law, cell=cell)})
 
+    @cached_property
+    def local_in_air(self) -> tuple[Any, Vehicle]:
+        """The same as `local`, of the vehicle `in_air`."""
+        cell, vehicle = self.local
+        if not self.rides_on_air:
+            return cell, vehicle
+        return cell, replace(vehicle, ground=replace(vehicle.ground, depth=self.air["depth"]))  # type: ignore[attr-defined, call-arg]  # a holonomic vehicle has it
+
+    def space(self, g: Any) -> SpatialField | None:
+        """The relief below the pose ``g`` in the symbols of `local`, for an element; None without one."""
+        ground = self.ground
+        if ground is None:
+            return None
+        models = ca.vertcat(ca.SX.sym("place", 2), self.local[0])
+        return SpatialField(ground.place(g), models, lambda count, order: ground.cells(count))
+
+    def cells(self, count: int) -> ca.Function:
+        """Poses (n, count) -> the values of `local`'s symbols there, as columns."""
+        g, ground = ca.SX.sym("g", self.sizes[0]), self.ground
+        if ground is None:
+            return ca.Function("cells", [g], [ca.SX(0, 1)]).map(count)
+        poses, place = ca.MX.sym("poses", self.sizes[0], count), ca.Function("place", [g], [ground.place(g)])
+        return ca.Function("cells", [poses], [ground.cells(count)(place.map(count)(poses))])
+
     @property
     def segment(self) -> ca.Function:
         """``(g, r, z, c0, c1, h, wind, cell) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment`; ``cell``: see
@@ -143,6 +167,20 @@ class Transcription:
         return ca.Function(
             "segment", [*inputs, cell], [step.segment[name] for name in results], [*names, "cell"], list(results)
         )
+
+    @cached_property
+    def newton(self) -> tuple[ca.Function, ca.Function]:
+        """Of ``(z, g, r, pi, c0, c1, h, wind, cell)``: the velocity ``z`` of a segment after a step of Newton's method,
+        and ``(g1, r1, pi1)`` at its end; ``cell`` as in `local`."""
+        segment = self.segment
+        g, r, z, c0, c1, h, wind, cell = (ca.SX.sym(name, *segment.size_in(name)) for name in segment.name_in())
+        pi = ca.SX.sym("pi", z.shape[0])
+        left, right, g1, r1 = segment(g, r, z, c0, c1, h, wind, cell)
+        missing = left - pi
+        slope = ca.jacobian(missing, z)
+        better = z - (ca.solve(slope, missing) if z.shape[0] else missing)
+        given = [z, g, r, pi, c0, c1, h, wind, cell]
+        return ca.Function("newton", given, [better]), ca.Function("end", given, [g1, r1, right - missing])
 
     def kept(self, key: Hashable, make: Callable[[], Made]) -> Made:
         """The element stored under ``key``, or the one that ``make`` builds; it is differentiated only once."""
