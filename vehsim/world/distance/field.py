@@ -483,7 +483,7 @@ def _quickly(
     near = (away < np.where(below, -NEAR[0], NEAR[1]) + step / 2) & ~known
     places = _places(axes, near)
     starts = lower + np.stack([part[near] for part in there], axis=-1)
-    away[near] = _length(terrain.near(places, starts, 2) - places)
+    away[near] = _length(terrain.near(places, starts, steps=1) - places)
     if progress is not None:
         progress("measuring distances to the terrain", 1.0)
     return np.where(below, -away, away)

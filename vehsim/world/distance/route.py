@@ -144,7 +144,7 @@ class _Search:
                 return None
             for factor in CORRIDORS:
                 # a path's ends, and where it crosses a block, may be this much farther
-                inside = (through <= factor * least + 4 * self.step * (1 + SHY))[block]
+                inside = (through <= factor * least + 2 * self.step * (1 + SHY))[block]
                 kept = np.cumsum(inside) - 1
                 reached = [kept[each[inside[each]]] for each in near]
                 path, length = self._cheapest(nodes[inside], cost[inside], reached)
