@@ -24,6 +24,7 @@ LAYERS = (
     ("delivery",),
     ("sinusoids",),
     ("planning", "simulation", "pilots", "cameras"),
+    ("continuation",),
     ("audit",),
     ("requests",),
     ("world",),

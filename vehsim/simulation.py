@@ -11,11 +11,11 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vehsim.continuation import ended, memory_of, numbers_of, settings_of, surroundings
 from vehsim.errors import InputError, Problem
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import State, Vehicle
@@ -28,18 +28,6 @@ if TYPE_CHECKING:
     from vehsim.integrators.phase import Phase
     from vehsim.world.world import World
 
-MOVING = "world.moving"
-"""The setting of a simulation that names the vehicles that moved as obstacles."""
-STORED = (
-    "vehsim.vehicles.definition.base:State",
-    "vehsim.integrators.phase:Phase",
-    "vehsim.world.water.buoyancy:Forces",
-    "vehsim.world.water.running:Lift",
-    "vehsim.world.contact.contact:Event",
-    "vehsim.world.contact.grip:Grip",
-    "vehsim.world.contact.grounding:Points",
-)
-"""The classes of what continues a simulation, in addition to plain data."""
 MAX_STEPS = 10_000_000
 """Largest number of integration steps of a simulation."""
 
@@ -92,14 +80,13 @@ def simulate(
     from vehsim.world.world import World
 
     rate = _frame_rate(fps)
-    wanted = _positive("step", step, "a number of seconds, such as 1/240")
-    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / min(wanted, vehicle.largest_step) - 1e-9))
+    h = _step(step, rate, vehicle.largest_step)
     difference_map = difference_map or DEFAULT_MAP
     vehicle, start = _on_water(vehicle, world, start)
     if getattr(world, "contact", None) is not None:
         _refuse_untouched(vehicle, [obstacle.name for obstacle in world.obstacles])  # type: ignore[union-attr]  # a world with contact
     table = None if callable(controls) else _table(vehicle, controls)
-    steps = _steps(duration, table, wanted, h)
+    steps = _steps(duration, table, step, h)
     begin = _standing(vehicle, world, start)
     _warn_windless(vehicle, world)
     actuators = actuators and vehicle.actuated
@@ -108,56 +95,42 @@ def simulate(
     weighed = with_ground(vehicle, ground, _places(begin, near))
     environment = world.environment(vehicle, start_time=start_frame / float(rate)) if isinstance(world, World) else None
     settings = {
-        **_settings(vehicle, h, rate, start_frame),
+        **settings_of(vehicle, h, rate, start_frame),
         "difference_map": difference_map,
         "order": order,
         "actuators": actuators,
         "world": "with external forces" if environment is not None else "without external forces",
-        **_surroundings(world if isinstance(world, World) else World()),
-        "start": _numbers(begin),
+        **surroundings(world if isinstance(world, World) else World()),
+        "start": numbers_of(begin),
     }
+    if environment is None:
+        settings["controls"] = "a function" if table is None else "numbers"
+    before = None if after is None else memory_of(after, steps, settings)
+
     if environment is not None:
         cuts = substeps(h, environment)
         flying = weighed if vehicle.group.dim == 6 else vehicle  # in the plane, contact and gusts know no slopes
         integrator = Integrator(flying, h / cuts, difference_map, order, wind=_wind(world))
         law = controls if table is None else _played(table, steps * h)
         law = Actuated(vehicle, law) if actuators else law
-        clip, memory = pushed(
-            integrator,
-            environment,
-            law,
-            begin,
-            steps,
-            cuts,
-            rate,
-            start_frame,
-            progress,
-            None if after is None else _memory(after, steps, settings),
-        )
-        clip = replace(_commanded(clip, law), vehicle=vehicle)
-        _warn_limits(vehicle, clip)
-        _warn_targets(controls, clip)
-        return _ended(clip, memory, settings)
-    settings["controls"] = "a function" if table is None else "numbers"
-    before = None if after is None else _memory(after, steps, settings)
-    integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
-
-    if table is None:
+        clip, memory = pushed(integrator, environment, law, begin, steps, cuts, rate, start_frame, progress, before)
+        clip = _commanded(clip, law)
+    elif table is None:
+        integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
         law = Actuated(vehicle, controls) if actuators else controls
         clip, memory = _fly(integrator, law, begin, steps, rate, start_frame, progress, before)
         clip = _commanded(clip, law)
     else:
-        # whole rollouts are fast: one that is continued is repeated with its commands
-        knots = np.repeat(table, steps + 1, axis=0) if len(table) == 1 else _spread(table, steps)
-        knots = knots if before is None else np.concatenate([before["knots"], knots[len(before["knots"]) :]])
+        integrator = Integrator(weighed, h, difference_map, order, wind=_wind(world))
+        knots = _knots(table, steps, before)
+        clip = _roll(integrator, follow(vehicle, knots, h) if actuators else knots, begin, rate, start_frame, progress)
+        clip = _with_commands(clip, knots) if actuators else clip
         memory = {"knots": knots}
-        positions = follow(vehicle, knots, h) if actuators else knots
-        clip = _roll(integrator, positions, begin, rate, start_frame, progress)
-        if actuators:
-            clip = _with_commands(clip, knots)
+
+    clip = replace(clip, vehicle=vehicle)
     _warn_limits(vehicle, clip)
     _warn_targets(controls, clip)
-    return _ended(place_on_terrain(replace(clip, vehicle=vehicle), world), memory, settings)
+    return ended(place_on_terrain(clip, world) if environment is None else clip, memory, settings)
 
 
 @dataclass(frozen=True)
@@ -194,9 +167,8 @@ def simulate_together(
 
     rate = _frame_rate(fps)
     finest = min((mover.vehicle.largest_step for mover in movers.values()), default=math.inf)
-    wanted = _positive("step", step, "a number of seconds, such as 1/240")
-    h = 1 / float(rate) / max(1, math.ceil(1 / float(rate) / min(wanted, finest) - 1e-9))
-    steps = _steps(duration, np.zeros((1, 0)), wanted, h)
+    h = _step(step, rate, finest)
+    steps = _steps(duration, np.zeros((1, 0)), step, h)
     prepared = []
     for name, mover in movers.items():
         vehicle, start = _on_water(mover.vehicle, world, mover.start)
@@ -226,16 +198,16 @@ def simulate_together(
         raise InputError("not the vehicles of movers", "give a clip of each", key="after", value=sorted(after))
     settings = {
         name: {
-            **_settings(vehicle, h, rate, start_frame),
-            **_surroundings(world),
+            **settings_of(vehicle, h, rate, start_frame),
+            **surroundings(world),
             "movers": list(movers),
-            "start": _numbers(begin),
+            "start": numbers_of(begin),
         }
         for name, vehicle, _, begin, _ in prepared
     }
     before = None
     if after is not None:
-        left = [_memory(after[name], steps, settings[name]) for name in movers]
+        left = [memory_of(after[name], steps, settings[name]) for name in movers]
         if len({len(after[name]) for name in movers}) > 1:
             raise InputError("clips of different lengths", "give those of one call", key="after")
         before = {**left[0], "recordings": [own["recordings"] for own in left]}
@@ -247,90 +219,8 @@ def simulate_together(
         _warn_limits(vehicle, clips[name])
         _warn_targets(movers[name].controls, clips[name])
         own = {**memory, "recordings": memory["recordings"][k]}
-        clips[name] = _ended(clips[name], own, settings[name])
+        clips[name] = ended(clips[name], own, settings[name])
     return clips
-
-
-def _settings(vehicle: Vehicle, step: float, fps: Fraction, start_frame: int) -> dict[str, Any]:
-    """What a simulation has in common with one that it continues: argument -> value."""
-    named = {"vehicle": vehicle.name, "vehicle.parameters": dict(vehicle.parameters)}
-    return {**named, "step": step, "fps": str(fps), "start_frame": start_frame}
-
-
-def _surroundings(world: World) -> dict[str, Any]:
-    """The same of the world: part -> content. Of vehicles that move as obstacles, only the names: their own motions may
-    end earlier."""
-    given = {"gusts": world.gusts, "contact": world.contact}
-    hashed = {"terrain": world.terrain, "water": world.water, **{f"obstacle.{one.name}": one for one in world.standing}}
-    parts = {
-        **{name: None if part is None else f"content {part.content_hash[:12]}" for name, part in hashed.items()},
-        **{name: None if part is None else repr(part) for name, part in given.items()},
-        "wind": world.wind.tolist(),
-    }
-    return {**{f"world.{name}": part for name, part in parts.items()}, MOVING: [one.name for one in world.moving]}
-
-
-def _numbers(state: State) -> dict[str, list[float]]:
-    """The parts of a state that are given."""
-    return {part: np.asarray(value, float).tolist() for part, value in vars(state).items() if value is not None}
-
-
-def _ended(clip: Clip, memory: Mapping[str, Any], settings: Mapping[str, Any]) -> Clip:
-    """The clip, such that it can be continued."""
-    from vehsim.clip.ending import encoded
-
-    left = {"positions": _hash(clip), "settings": settings, "memory": memory}
-    return replace(clip, ending=encoded(left, STORED))
-
-
-def _hash(clip: Clip) -> str:
-    return sha256(clip.positions.tobytes()).hexdigest()
-
-
-def _memory(after: Clip, steps: int, settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What a clip that is continued for ``steps`` in all left. Raises ``InputError``."""
-    ending = _left(after)
-    now = _single(settings)
-    for key, earlier in _unlike(_single(ending["settings"]), now).items():
-        message = f"the clip to be continued has {earlier}"
-        raise InputError(message, "continue it with the same", key=key, value=now.get(key))
-    if len(after) > steps + 1:
-        message = f"has {len(after) - 1} steps, more than the {steps} of the whole duration"
-        raise InputError(message, "give a longer duration, which counts from the start", key="after")
-    memory: Mapping[str, Any] = ending["memory"]
-    return memory
-
-
-def _single(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with those in a mapping under keys of their own, such as ``start.position``."""
-    found: dict[str, Any] = {}
-    for key, value in settings.items():
-        found |= {f"{key}.{part}": one for part, one in value.items()} if isinstance(value, Mapping) else {key: value}
-    return found
-
-
-def changed_surroundings(after: Clip, world: World) -> dict[str, tuple[Any, Any]]:
-    """What differs in ``world`` from that of a simulated clip: key -> content there and here. Of vehicles that move as
-    obstacles, it says nothing. Raises ``InputError`` for a clip that cannot be continued."""
-    now = {key: part for key, part in _surroundings(world).items() if key != MOVING}
-    before = {key: part for key, part in _left(after)["settings"].items() if key.startswith("world.") and key != MOVING}
-    return {key: (earlier, now.get(key)) for key, earlier in _unlike(before, now).items()}
-
-
-def _left(after: Clip) -> dict[str, Any]:
-    """What a simulated clip left. Raises ``InputError``."""
-    from vehsim.clip.ending import decoded
-
-    ending: dict[str, Any] = {} if after.ending is None else decoded(after.ending, STORED)
-    if ending.get("positions") != _hash(after):
-        remedy = "take a clip as `simulate` made it, not edited"
-        raise InputError("cannot be continued", remedy, key="after", subject=after.vehicle.name)
-    return ending
-
-
-def _unlike(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
-    """The earlier values of what differs."""
-    return {key: earlier.get(key) for key in {**now, **earlier} if now.get(key) != earlier.get(key)}
 
 
 def _commanded(clip: Clip, law: Any) -> Clip:
@@ -455,6 +345,13 @@ def _table(vehicle: Vehicle, controls: Any) -> Array:
     return table
 
 
+def _step(wanted: float, rate: Fraction, largest: float) -> float:
+    """The longest step, s, of at most ``wanted`` and ``largest`` that divides a frame."""
+    frame = 1 / float(rate)
+    longest = min(_positive("step", wanted, "a number of seconds, such as 1/240"), largest)
+    return frame / max(1, math.ceil(frame / longest - 1e-9))
+
+
 def _steps(duration: float | None, table: Array | None, wanted: float, h: float) -> int:
     """Number of steps of ``h`` that cover the duration."""
     if duration is None:
@@ -468,6 +365,12 @@ def _steps(duration: float | None, table: Array | None, wanted: float, h: float)
             f"{steps:,} steps of {h:.3g} s", "shorten it, or take a longer step", key="duration", value=duration
         )
     return max(1, steps)
+
+
+def _knots(table: Array, steps: int, before: Mapping[str, Any] | None) -> Array:
+    """Controls (n, c) at every step, after those of a clip that is continued, whose rollout is repeated."""
+    knots = np.repeat(table, steps + 1, axis=0) if len(table) == 1 else _spread(table, steps)
+    return knots if before is None else np.concatenate([before["knots"], knots[len(before["knots"]) :]])
 
 
 def _spread(table: Array, steps: int) -> Array:

@@ -104,7 +104,7 @@ class ForwardMotion(Table):
         return None if self.continues is None else load_clip(self.continues, vehicle, context)
 
     def _check_continued(self, path: str, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
-        from vehsim.simulation import changed_surroundings
+        from vehsim.continuation import changed_surroundings
 
         wrong = list(check_clip("continues", path, vehicle, context))
         yield from wrong
