@@ -66,3 +66,14 @@ def test_derivatives_of_a_planing_hull_take_few_operations(order, most):
     """6820 and 18715 in a Hessian when every piece of its curves was differentiated."""
     element = equations(transcribe(vehsim.load_vehicle("boat").planar), order)
     assert element.hessian[0].n_instructions() < most
+
+
+def test_slow_flights_take_few_iterations():
+    """A slow flight costs about as much at any pace: steps of 50 m that cost more were taken, 263 iterations in all."""
+    first = Mark(1, position=(0.0, 0.0, 30.0), heading=0.0, velocity=REST)
+    way = Mark(473, position=(80.65, 39.07, 31.85))
+    last = Mark(990, position=(164.15, 71.6, 33.71), heading=14.0, velocity=REST)
+    helicopter = vehsim.load_vehicle("helicopter")
+    for marks in ([first, last], [first, way, last]):
+        plan = vehsim.plan(helicopter, None, marks)
+        assert plan.success and plan.character == "normal" and plan.iterations < 25

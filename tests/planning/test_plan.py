@@ -185,6 +185,35 @@ def test_patience_ends_early_if_constraints_are_missed_by_far():
     assert not any(ENDLESS.ends(k, lambda: 0.1) for k in range(1000))
 
 
+def test_patience_goes_on_where_constraints_are_nearly_met():
+    """One iteration before its end, a solve was given up for three others."""
+    from vehsim.planning.problem.solver import Patience
+
+    patience = Patience(20, near=1e-2)
+    assert next(k for k in range(1, 60) if patience.ends(k, lambda: 1e-3)) == 31
+    assert next(k for k in range(1, 60) if patience.ends(k, lambda: 0.1)) == 21
+    assert not patience.ends(25, lambda: 1e-3) and patience.ends(25, lambda: 0.1)
+
+
+@pytest.mark.parametrize(("ratio", "found"), [(1.005, "near"), (1.05, "begun")])
+def test_a_motion_near_a_stunt_takes_the_place_of_an_unfinished_one_if_it_is_as_good(ratio, found, monkeypatch):
+    """The unfinished one was solved again from its guess, which took as long as all the rest."""
+    from types import SimpleNamespace
+
+    from vehsim.planning import planner
+
+    def motion(cost, success):
+        return SimpleNamespace(success=success, solution=SimpleNamespace(cost=cost), request=SimpleNamespace(traits=0))
+
+    begun, near, stunt = motion(0.0, False), motion(ratio, True), motion(1.0, True)
+    monkeypatch.setattr(planner, "solve", lambda *_: motion(1.0, False))
+    monkeypatch.setattr(planner, "without_character", lambda *_: stunt)
+    monkeypatch.setattr(planner, "nearby", lambda *_: near)
+    monkeypatch.setattr(planner, "_is_too_hard", lambda *_: False)
+    made = planner._quickly(None, begun, None)
+    assert made == {"near": (near, None), "begun": (begun, stunt)}[found]
+
+
 def test_executed_motion_ends_where_planned(flight):
     assert flight.executed.final < 0.1 and flight.executed.mean <= flight.executed.largest
 

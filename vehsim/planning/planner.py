@@ -78,10 +78,13 @@ TOPS = {
 TOO_HARD = 1.5
 """Ratio of a motion to a limit of its character above which the next harder character is the better choice: easing in
 and out of rest would take time that the rest of the motion needs, which then is harder than a stunt."""
-QUICK = Patience(60)
+QUICK = Patience(60, near=1e-2)
 """That of a solve in a character, after which it is compared with a stunt."""
-AT_ONCE = Patience(40, early=0.25)
-"""That of a solve at once on the requested segments, refined: easy problems need 5 to 40 iterations there."""
+AS_GOOD = 1.01
+"""Ratio of the cost of a motion near a stunt to that of one that this patience leaves unfinished, up to which it takes
+the other's place: more iterations would hardly improve it."""
+AT_ONCE = Patience(60, early=0.25, near=1e-2)
+"""That of a solve at once on the requested segments, refined: easy problems need 5 to 60 iterations there."""
 CALM = 0.85
 """Ratio of a motion to the limits of its character below which it is not solved again within them."""
 STRAINED, WORTH = 1.15, 0.9
@@ -529,7 +532,8 @@ def _at_once(run: Run, begun: Iterate) -> Iterate:
 
 
 def _quickly(run: Run, begun: Iterate, guess: InitialGuess) -> tuple[Iterate, Iterate | None]:
-    """The iterate solved if that takes few iterations, else as it was, with its stunt, which may have failed.
+    """The iterate solved if that takes few iterations, or near its stunt if that is as good as the unfinished motion;
+    else as it was, with its stunt, which may have failed.
 
     Raises `_TooHard` if it is too hard even near the motion of the stunt, which is found at once where marks leave too
     little time for the character. Where the unfinished motion is softer than that, it goes another way.
@@ -541,6 +545,9 @@ def _quickly(run: Run, begun: Iterate, guess: InitialGuess) -> tuple[Iterate, It
     near = nearby(run, stunt, begun.request.traits) if stunt.success else stunt
     if _is_too_hard(run, near) and not _strain(quick, begun.request) < _strain(near, begun.request):
         raise _TooHard(near)
+    assert quick.solution is not None and near.solution is not None
+    if near.success and near.solution.cost <= AS_GOOD * quick.solution.cost:
+        return near, None
     return begun, stunt
 
 

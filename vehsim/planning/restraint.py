@@ -55,8 +55,9 @@ def restrain(run: Run, iterate: Iterate) -> Iterate:
 
 
 def restrained(iterate: Iterate) -> Iterate:
-    """An iterate with the soft limits of its character in its problem; unchanged if it has none."""
+    """An iterate with the soft limits of its character in its problem; unchanged if there are none, or if they
+    are active already."""
     costs = iterate.block(RunningCosts)
-    if costs is None or not (costs.limits or costs.control_rates):
+    if costs is None or costs.restrained or not (costs.limits or costs.control_rates):
         return iterate
     return replace(iterate, blocks=tuple(replace(b, restrained=True) if b is costs else b for b in iterate.blocks))

@@ -140,7 +140,8 @@ def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
     their blocks say so (`Block.continues`), else from the same start. ``patience``: that of one solve; when it
     ends, the unfinished motion is returned.
     """
-    solved = _solve_active(run, iterate, "guess", patience)
+    stunt = iterate.request.traits.name == STUNT
+    solved = _solve_active(run, iterate, "guess" if iterate.blocked or stunt else "open", patience)
     for _ in range(LOOKS):
         if run.deadline.late or not (solved.success or patience is ENDLESS):
             break

@@ -57,9 +57,10 @@ class Solution:
     """Whether its `Patience` stopped it at a motion that counts as solved."""
 
 
-Start = Literal["guess", "again", "motion", "multipliers", "draft"]
-"""What a solve starts from: an initial guess; the same guess with a larger active set; a solved motion of another
-discretisation; such a motion with its multipliers; that of a draft with its multipliers, when its marks moved."""
+Start = Literal["guess", "open", "again", "motion", "multipliers", "draft"]
+"""What a solve starts from: an initial guess; one in free space, in a character; the same guess with a larger active
+set; a solved motion of another discretisation; such a motion with its multipliers; that of a draft with its
+multipliers, when its marks moved."""
 
 MET = 1e-6
 """Largest violation of a constraint that is met, in the problem's scaled units."""
@@ -113,7 +114,8 @@ EARLY = 8
 @dataclass(frozen=True)
 class Patience:
     """How long a solve is given: at ``most`` so many iterations, and after `EARLY` of them no constraint may be missed
-    by more than ``early``, in the problem's scaled units.
+    by more than ``early``, in the problem's scaled units. Where none is missed by more than ``near`` after the most, it
+    is given half as many again: a few more iterations cost less than another solve.
 
     ``unfinished``: the largest such miss with which a motion counts as solved after these iterations. If it is not
     zero, the solve goes on until then.
@@ -121,12 +123,15 @@ class Patience:
 
     most: float = math.inf
     early: float = math.inf
+    near: float = 0.0
     unfinished: float = 0.0
 
     def ends(self, count: int, violation: Callable[[], float]) -> bool:
         """Whether it ends with iteration ``count``, at which constraints are missed by ``violation``."""
         if count > self.most:
-            return self.unfinished == 0 or violation() <= self.unfinished
+            if self.unfinished:
+                return violation() <= self.unfinished
+            return count > 1.5 * self.most or violation() > self.near
         return count == EARLY and violation() > self.early
 
 
@@ -149,6 +154,8 @@ def _warm(barrier: float, push: float) -> dict[str, Any]:
 
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
+    # where the cost hardly depends on the pace, steps go far along a leg: they must reduce it, not only violations
+    "open": {"mu_strategy": "adaptive", "theta_min_fact": 1.0, "max_soc": 1},
     "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
     "motion": {"mu_strategy": "monotone", "mu_init": 1e-5},
     "multipliers": _warm(1e-6, 1e-9),
