@@ -109,8 +109,9 @@ def test_plan_and_simulation_feel_the_same_ground(heli):
 
 
 def test_plans_look_up_the_ground_below_instead_of_writing_it_out(heli):
-    """The same balance at a mark, with a twentieth of the operations."""
+    """The same balance at a mark, with a twentieth of the operations; all elements share what looks it up."""
     t = transcribe(above_ground(heli, vehsim.World("hills")))
+    assert t.ground.cells(7) is t.ground.cells(7)
     mark = vehsim.Mark(frame=1, position=(12.0, -7, 30), velocity=(0, 0, 0))
     looked_up, written = (mark_element(t, mark, everywhere=everywhere) for everywhere in (False, True))
     assert looked_up.hessian[0].n_instructions() < 0.1 * written.hessian[0].n_instructions()

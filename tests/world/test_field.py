@@ -90,6 +90,7 @@ def test_models_are_the_values_without_a_copy_of_the_table(field):
     """A copy at each call would take as long as the rest; other solvers than IPOPT differentiate the models."""
     points = np.random.default_rng(5).uniform(field.lower - 5, field.upper + 5, (40, 3))
     models = field.models(40)
+    assert models is field.models(40)
     assert models.sz_w() < field._coefficients.size / 10
     found = np.array(models(points.T))
     np.testing.assert_allclose(found[0], field.value(points), atol=1e-9)

@@ -118,8 +118,13 @@ class DistanceField:
         """A casadi ``Function``, points (3, count) -> value, gradient, Hessian (xx, yy, zz, xy, xz, yz) (10, count).
 
         Derivatives up to ``order``, zeros beyond. It takes two or three us per point, where differentiating `function`
-        takes 35: the coefficients of all points are gathered together.
+        takes 35: the coefficients of all points are gathered together. It is built once.
         """
+        if (count, order) not in self._models:
+            self._models[count, order] = self._built(count, order)
+        return self._models[count, order]
+
+    def _built(self, count: int, order: int) -> Any:
         import casadi
 
         first, evaluate = self._kernels[order]
@@ -129,6 +134,10 @@ class DistanceField:
         known = evaluate.map(count)(points, self._gathers[count](first.map(count)(points)))
         beyond = casadi.DM.zeros(10 - known.shape[0], count)
         return casadi.Function("models", [points], [casadi.vertcat(known, beyond)])
+
+    @cached_property
+    def _models(self) -> dict[tuple[int, int], Any]:
+        return {}
 
     @cached_property
     def _kernels(self) -> list[Any]:

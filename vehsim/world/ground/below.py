@@ -7,6 +7,7 @@ the review of a motion share it and differentiate it exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,7 +107,16 @@ class Below:
         return (self.level if self.relief is None else self.relief.height(self.place(g))) - self.depth
 
     def cells(self, count: int) -> Any:
-        """A casadi ``Function``, places (2, count) m -> heights (1, count) m."""
+        """A casadi ``Function``, places (2, count) m -> heights (1, count) m; built once per count."""
+        if count not in self._cells:
+            self._cells[count] = self._heights_at(count)
+        return self._cells[count]
+
+    @cached_property
+    def _cells(self) -> dict[int, Any]:
+        return {}
+
+    def _heights_at(self, count: int) -> Any:
         import casadi as ca
 
         places = ca.MX.sym("places", 2, count)
