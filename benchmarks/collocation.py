@@ -34,7 +34,7 @@ TASKS = {
 
 OURS = {"order 2": 2, "order 4": 4}
 """Method -> order of DMOC, which `plan` refines from 2 to 4."""
-MAIN, RIVAL, SEGMENTS, GOALS, TURNS = "order 4", "hermite-simpson", (16, 32, 64), 9, 3
+MAIN, RIVAL, SEGMENTS, GOALS, TURNS = "order 4", "hermite-simpson", (16, 32, 64), 9, 5
 SPREAD, ASIDE, HEADING = 0.4, 20.0, 40.0
 """By how much the distances of random goals differ, by their mean; how far they lie aside of it and how far they are
 turned, at most, degrees."""
@@ -54,9 +54,11 @@ TOP = [
 HEAD = [
     "Order 4 (`vehsim/planning/problem/simpson.py`) is Hermite-Simpson's rule on the group: it keeps quaternions at",
     "unit norm and constraints at every knot and middle, and is symmetric in time; momentum is conserved to fourth",
-    "order. In the plane its equations are those of Hermite-Simpson in other variables. Both are differentiated by the",
-    "chain rule through the middle of a segment (`Element.inner`). Where that is cheap, here for the helicopter and",
-    "the robot, the velocity at the middle is not a variable of ours either (`Element.reduced`).",
+    "order. In the plane its equations are those of Hermite-Simpson in other variables. In space, rotations are",
+    "exponentials, and the gyroscopic force of velocities quadratic in time is integrated exactly, which makes most of",
+    "the difference. Both are differentiated by the chain rule through the middle of a segment (`Element.inner`), ours",
+    "also through the mean of both attitudes. Where that is cheap, here for the helicopter and the robot, the velocity",
+    "at the middle is not a variable of ours either (`Element.reduced`).",
     "",
     f"One thread, no compiler. CPU times are the least of {TURNS} turns, in which all methods solve one after another.",
     "They include the guess and the execution of the controls, but not building. Medians over the same goals:",
@@ -83,12 +85,28 @@ CPU times and executed errors are relative to Hermite-Simpson, on 2026-11-24: on
   50 %, of the truck 45, of the shipped helicopter 52, of snakeboards 28, of boats 36, of the hopper 47 and of the
   rally car 69 % more instructions, which costs more than the smaller linear systems save. Solves of the simple car
   took 5 % longer, of the car 4 % less, but plans of the car the same. Where clearances read it, it stays a variable.
-- The rotation by the Magnus series to sixth order for rates quadratic in time, on 2026-11-27, not built yet: with
-  `a = h w_m`, `b = h (w_1 - w_0)`, `c = 2 h (w_0 - 2 w_m + w_1)` and `e = a x b`, it is
-  `a + c / 12 + (a + c / 20 + e / 20) x (b + a x (2 c - e) / 60) / 12`. Executed errors of the nine flights, medians for
-  N = 16 and 32: effort 0.92 and 0.97 (1.39 and 1.14 now), smoothness 0.96 and 0.99 (0.81 and 0.80 now). So the goal is
-  met everywhere only with it, for 14 % more instructions of the helicopter's derivatives. With `b` alone as the second
-  factor: 0.97, 0.97, 1.11 and 1.12, for 6 %.
+- Until 2026-11-27 without the gyroscopic term, and with the Hermite cubic of both quaternions in the middle: executed
+  errors of the nine flights, medians for N = 16, 32 and 64, were 1.39, 1.14 and 0.99 for effort and 0.81, 0.80 and 0.72
+  for smoothness, and a Hessian took 9,673 instructions (now 8,424, Hermite-Simpson 8,532). The mean of both attitudes
+  as an inner expression saves 1,300, because all that depends on both depends on their mean alone.
+- The gyroscopic term from the second difference of the whole momentum, gyroscopic forces included: errors for N = 16
+  and 32 of 0.62 and 0.71 for effort, 0.44 and 0.43 for smoothness (now 0.67, 0.70, 0.47 and 0.50) for 3 % fewer
+  instructions. But a quadrotor whose controls are free at both ends then ends 1.2 to 2.3 times as far off at 32
+  segments as without the term (seven goals; now 0.8 to 1.1 times, four goals), and 3 to 17 times at 64 (now 2 to 7).
+  From the forces instead of the momenta: the same errors, 40 % more instructions for the shipped helicopter.
+- Gyroscopic forces exact for rates cubic in time, and the middle's momentum corrected for them: 0.4 to 0.8 times at 32
+  segments with free ends, 1 to 5 at 64, and in balance 0.07 to 0.23; 30 % more instructions. The middle's momentum
+  alone, `pi_m + h B(xi_1 - xi, d mu) / 32`: 11 % more, flights 3 % nearer.
+- Rotations by the Magnus series to sixth order: with `a = h w_m`, `b = h (w_1 - w_0)`, `c = 2 h (w_0 - 2 w_m + w_1)`
+  and `e = a x b`, `a + c / 12 + (a + c / 20 + e / 20) x (b + a x (2 c - e) / 60) / 12`. Without the gyroscopic term it
+  gave errors of 0.92, 0.97, 0.96 and 0.99, beside it 0.45, 0.66, 0.37 and 0.39, for 14 % more instructions; a quadrotor
+  gains nothing.
+- The tangent of the rotation vector to seventh order: 2 % more instructions, the same errors. From the middle's rate
+  alone: 1 % fewer, errors 0.98, 0.65, 1.35 and 1.44.
+- Simpson's rule for quaternions without its part along them, so that they keep their norm: 40 to 50 % more
+  instructions.
+- Further inner expressions (forces at the ends, the middle's force, impulses, sums and differences of rates): 0 to 5 %
+  more instructions. Products of the chain rule by halves of the symmetric Hessian: 5 to 10 % more.
 - The rotation as a unit quaternion of a rational function instead of the implicit relation: 340 of 13,000 instructions
   less for the papers' helicopter, 900 of 28,600 more for the shipped one. Compared with the ends in body axes instead:
   800 less, but multipliers of order 2 would have to be rotated.

@@ -1,6 +1,6 @@
 """Other optimal-control tools on the same problems: Drake with SNOPT and IPOPT, CasADi with IPOPT and fatrop.
 
-``python -m benchmarks.peers [PROBLEM ...]`` prints a table, for all problems or those named; without names it writes
+``python -m benchmarks.peers [PROBLEM ...]`` prints tables, for all problems or those named; without names it writes
 ``RESULTS.peers.md`` beside this file. Drake is the extra ``benchmarks``. Every tool gets the vehicle's continuous
 equations of motion, derived from its one definition, in coordinates that its users would choose: positions, roll, pitch
 and yaw, and velocities. From rest to rest in a given time, at the least squared controls. *Executed* is where the
@@ -9,11 +9,12 @@ controls end when an adaptive integrator (DOP853, 1e-10) executes them, from the
 
 from __future__ import annotations
 
+import math
 import operator
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -51,6 +52,18 @@ TOP = [
     "| CasADi shooting, prebuilt | the same over our fatrop |",
     "|---|---|---|---|---|---|---|",
 ]
+EQUAL = [
+    "At equal executed error: the fewest segments, of multiples of 4, with which the controls of a tool end at most so",
+    "far from the goal, and its prebuilt solve. Drake is left out: it takes longer for what CasADi's Hermite-Simpson",
+    "finds. The fastest of the others over ours, by IPOPT as in plans, and by the faster of IPOPT and fatrop:",
+    "",
+    "| problem | executed, off by at most (m) | over ours, IPOPT | over ours, the faster |",
+    "|---|---|---|---|",
+]
+EQUAL_HEAD = [
+    "| problem | executed, off by at most (m) | tool | segments | executed, off by (m) | prebuilt (ms) | cost |",
+    "|---|---|---|---|---|---|---|",
+]
 HEAD = [
     "CPU times, s. *Total*: building the problem and the first solve, without imports. *Prebuilt*: the least of three",
     "further solves of the built problem from the same guess; *warm*: from the solution itself, ours by IPOPT with its",
@@ -64,36 +77,37 @@ HEAD = [
     "|---|---|---|---|---|---|---|---|---|",
 ]
 DROPPED = """
-Totals again on 2026-11-26, medians of 3 to 7 first plans in forked processes, in alternating pairs, load 3 to 9: since
-easy problems are solved at once at order 4, CasADi's total over that of `vehsim.plan` is 1.07 to 1.18 (quadrotor), 0.85
-(car) and 1.8 to 1.9 (helicopter). Before that, in such pairs: 0.93 to 0.97, 0.65 to 0.69 and 0.91 to 0.92.
+## What the executed error is made of
 
-At equal executed error (2026-11-25, load 10), prebuilt shooting with fatrop over ours by IPOPT and by fatrop: car, 42
-segments for its 64, 1.00 and 1.7; quadrotor, 54 for its 32, 0.49 and 0.51; helicopter, 40 for its 32, 1.53 and 1.24.
+The quadrotor at 32 segments ended 49 mm off until 2026-11-27, six times as far as shooting at equal segments. Its
+controls jump from balance to full torque within two segments. Carried to the end, the errors of single segments showed
+where it came from: of 37 mm along y, the angular rates of the first three segments made 36, rotations 1, velocities and
+places less than 1. A torque that rises within a segment makes rates quadratic, so the gyroscopic force
+`ad(xi)^T mu` quartic, which Simpson's rule integrates wrongly; under constant torques, as of shooting, it is quadratic.
+Since they are integrated exactly for rates quadratic in time (`vehsim/planning/problem/simpson.py`), it ends 4.4 mm off
+(shooting 8.6), at 48 segments 0.7 mm (12.9 before, shooting 1.7), at 64 0.7 mm (4.2, 0.9). Other goals: 0.07 to 0.23
+of the error before at 32 segments, 0.18 to 0.28 at 64. Rotations to sixth order change it by less than 5 %.
 
-The quadrotor again on 2026-11-27, with free controls at both ends for all, as shooting has them: at 32 segments ours
-has the lower cost (12.6194, shooting 12.6399), and at 64 the same executed error (8.7e-4 and 9.0e-4 m), but prebuilt
-shooting with fatrop still takes 0.43 (ours by IPOPT) to 0.6 (by fatrop) of the time. It is the only one of the three
-problems that shooting solves faster.
+With free controls at both ends for all, as shooting has them: 16 mm at 32 segments and 2.1 at 64 (20.7 and 0.9 before,
+shooting 8.6 and 0.9), at a lower cost (12.6194, shooting 12.6399). So there shooting is nearer. Torques then jump from
+rest, and gyroscopic forces act on rates of higher degree; what that would take is in `RESULTS.collocation.md`. Shooting
+in balance at both ends, as ours: 11.8 mm and 1.0, at a higher cost (12.784, ours 12.681).
 
-Totals once more on 2026-11-27 (commit 49712fb2, load 13, a million additions in Python 28 ms), medians of seven first
-plans in forked processes, in turn with the state of the morning: car 115 ms (123 before; CasADi 91, so 0.79 of ours),
-quadrotor 159 ms (197; CasADi 187, 1.17). At load 19, nine plans of the car: 135 ms (141; CasADi 101, 0.75). Of the
-car's, about 30 ms build the problem, 20 solve it, 11 are its guess, 10 the clip and its certificate, 6 the execution
-and 6 the audit; what is left are many parts of 1 to 5 ms.
+## Totals in turn
 
-That evening, against the version of the afternoon and CasADi, in turn, medians of 8 to 20 first plans at loads of 8 to
-13: derivatives by the chain rule through the middle of a segment, no gradient of the Lagrangian for IPOPT, no strength
-of the vehicle where frames are given, controls executed in blocks. Car 85 ms (93 before; CasADi 86, 1.01 of ours) and
-again 92 ms (102; CasADi 91, 0.99), quadrotor 131 ms (136; CasADi 164, 1.26), helicopter 190 ms (219; CasADi 424, 2.2).
-So the target, 1, is met for two, and for the car within the noise.
+First plans on a busy machine (loads of 3 to 19), medians of 3 to 20 in forked processes, in turn with the other tools;
+CasADi's total over that of `vehsim.plan`:
 
-At night, since the quadrotor's problem has no velocities at the middle of segments (commit 643edae6, load 19, a million
-additions in Python 27 ms), medians of seven runs in forked processes, all tools in turn. Quadrotor: `vehsim.plan`
-139 ms, one solve prebuilt 32 ms by IPOPT (38 before, five runs in turn) and 25 ms by fatrop; CasADi's total 164 ms,
-1.19 of ours, its Hermite-Simpson prebuilt 96 ms (3.0 of ours), shooting by fatrop 28 ms (0.85 of ours by IPOPT, 1.11 of
-ours by fatrop) with a sixth of the executed error. Car: 87 ms, 18 and 12.5 ms; CasADi 88 ms (1.01), 60 ms (3.3) and
-12.8 ms (0.72 and 1.08).
+| date | what changed | quadrotor | car | helicopter |
+|---|---|---|---|---|
+| 2026-11-26 | before | 0.93 to 0.97 | 0.65 to 0.69 | 0.91 to 0.92 |
+| 2026-11-26 | easy problems are solved at once at order 4 | 1.07 to 1.18 | 0.85 | 1.8 to 1.9 |
+| 2026-11-27 | guesses, marks and clips in fewer steps | 1.17 | 0.75 to 0.79 | |
+| 2026-11-27 | chain rule through the middle, controls executed in blocks | 1.26 | 0.99 to 1.01 | 2.2 |
+| 2026-11-27 | no velocities at the middle of the quadrotor's segments | 1.19 | 1.01 | |
+
+Of the car's first plan (115 ms then), about 30 ms built the problem, 20 solved it, 11 were its guess, 10 the clip and
+its certificate, 6 the execution and 6 the audit; what is left are many parts of 1 to 5 ms.
 
 ## Tried and dropped
 
@@ -585,8 +599,18 @@ PROBLEMS: Mapping[str, Callable[[], Problem]] = {
 }
 
 
+RULES = [tool for tool in TOOLS if tool.startswith(("vehsim, one", "CasADi"))]
+"""The tools that are compared at equal executed error."""
+WANTED: Mapping[str, tuple[float, ...]] = {"quadrotor": (1e-2, 1e-3), "car": (1e-5, 1e-6), "helicopter": (1e-2, 1e-3)}
+"""Problem -> executed errors at most, m."""
+GRID = range(16, 81, 4)
+"""Numbers of segments that are tried for them."""
+
+
 def main() -> None:
     named, lines, summary = sys.argv[1:], [], []
+    equal: list[str] = []
+    ratios: list[str] = []
     ours(Problem(vehsim.load_vehicle("two_wheeled"), 49, REST, (2, 0, 0), 0, 8))  # imports
     for name in named or PROBLEMS:
         problem, results = PROBLEMS[name](), dict[str, Result]()
@@ -601,10 +625,42 @@ def main() -> None:
             )
             print(lines[-1], flush=True)
         summary.append(compared(name, results))
-    print("\n".join(summary))
+        for error, found in reached(problem, WANTED[name]).items():
+            equal += [
+                f"| {name} | {error:g} | {tool} | {count} | {made.executed:.1e} | {made.prebuilt * 1e3:.1f} "
+                f"| {made.cost:.4f} |"
+                for tool, (count, made) in found.items()
+            ]
+            ratios.append(f"| {name} | {error:g} | {' | '.join(faster(found))} |")
+    print("\n".join([*equal, *summary, *ratios]))
     if not named:
-        text = headed("\n".join([*TOP, *summary, "", *HEAD, *lines, *DROPPED]) + "\n")
+        page = [*TOP, *summary, "", *EQUAL, *ratios, "", *HEAD, *lines, "", *EQUAL_HEAD, *equal, *DROPPED]
+        text = headed("\n".join(page) + "\n")
         Path(__file__).with_name("RESULTS.peers.md").write_text(text, encoding="utf-8")
+
+
+def reached(problem: Problem, errors: Sequence[float]) -> dict[float, dict[str, tuple[int, Result]]]:
+    """For every executed error, m, and every one of `RULES` that reaches it, the fewest segments and its result."""
+    found: dict[float, dict[str, tuple[int, Result]]] = {error: {} for error in errors}
+    for tool in RULES:
+        for count in GRID:
+            if all(tool in tools for tools in found.values()):
+                break
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                made = TOOLS[tool](replace(problem, segments=count))
+            for error, tools in found.items():
+                if made.executed <= error:
+                    tools.setdefault(tool, (count, made))
+    return found
+
+
+def faster(found: Mapping[str, tuple[int, Result]]) -> list[str]:
+    """The prebuilt solve of the fastest of the others over ours by IPOPT, and over our faster one."""
+    times = {tool: made.prebuilt for tool, (_, made) in found.items()}
+    others = min((spent for tool, spent in times.items() if not tool.startswith("vehsim")), default=math.nan)
+    ours = [times.get("vehsim, one solve", math.nan), min(v for k, v in times.items() if k.startswith("vehsim"))]
+    return [f"{others / spent:.2f}" for spent in ours]
 
 
 def compared(name: str, results: Mapping[str, Result]) -> str:

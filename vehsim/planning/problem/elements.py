@@ -125,7 +125,8 @@ class Element:
     def _chain(self) -> list[Any]:
         """For all inner symbols, their expressions' derivatives by ``y`` and earlier symbols."""
         before = [self.y, *(symbols for symbols, _ in self.inner)]
-        return [ca.jacobian(at, ca.vertcat(*before[: k + 1])) for k, (_, at) in enumerate(self.inner)]
+        slopes = [ca.jacobian(at, ca.vertcat(*before[: k + 1])) for k, (_, at) in enumerate(self.inner)]
+        return list(ca.cse(slopes)) if slopes else []
 
     @cached_property
     def _slopes(self) -> Any:

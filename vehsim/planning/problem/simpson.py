@@ -1,9 +1,10 @@
 """A whole segment to fourth order: the Hermite-Simpson rule on the group, in the variables of DMOC.
 
 Joints, momenta and places follow Simpson's rule, with the middle on the Hermite cubic through both ends (Hargraves and
-Paris 1987). Rotations are ``q exp(x)`` with ``x`` to fourth order, so that quaternions keep unit norm. The segment is
-symmetric in time, and constraints hold exactly at its ends and middle. Without forces, momentum is conserved to fourth
-order only: docs/derivations.md tells what exact conservation costs.
+Paris 1987). Rotations are ``q exp(x)`` with ``x`` to fourth order, so that quaternions keep unit norm; gyroscopic
+forces are integrated exactly for velocities quadratic in time. The segment is symmetric in time, and constraints hold
+exactly at its ends and middle. Without forces, momentum is conserved to fourth order only: docs/derivations.md tells
+what exact conservation costs.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from vehsim.vehicles.definition.mechanics import conservative, free_velocity, mo
 
 if TYPE_CHECKING:
     from vehsim.planning.problem.transcription import Transcription
+    from vehsim.vehicles import Vehicle
 
 Expr = Any
 
 
 CHEAP = 110
 """Largest number of instructions of a segment's equations, for every component of its velocity, with which the velocity
-is eliminated: smaller linear systems then outweigh larger Hessians. Solves of a body without drag (102) take 15 to 20 %
+is eliminated: smaller linear systems then outweigh larger Hessians. Solves of a body without drag (108) take 15 to 20 %
 less, of the two-wheeled robot (90) 4 %; those of the simple car (114) would take 5 % more, and of boats (731) a third
 more instructions."""
 
@@ -46,26 +48,32 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
 
     u, xi = m.knot_velocity(r, pi, a)
     u1, xi1 = m.knot_velocity(r1, pi1, b)
-    g_dot, _, push = laws(g, r, u, xi, a, wind, cells[:, 0] - depth)
-    g1_dot, _, push1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth)
+    g_dot, _, push, turned = laws(g, r, u, xi, a, wind, cells[:, 0] - depth)
+    g1_dot, _, push1, turned1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth)
     gm, rm = (g + g1) / 2 + h / 8 * (g_dot - g1_dot), (r + r1) / 2 + h / 8 * (u - u1)
     pose = ca.SX.sym("pose", gm.shape[0] + rm.shape[0])
     g_, r_ = ca.vertsplit(pose, [0, gm.shape[0], pose.shape[0]])
     um, xim = free_velocity(t.vehicle, r_, v["z"], m.driven(middle))
     between = (pi + pi1) / 2 + h / 8 * (push - push1)
-    gm_dot, pim, pushm = laws(g_, r_, um, xim, middle, wind, cells[:, 2] - depth)
+    gm_dot, pim, pushm, _ = laws(g_, r_, um, xim, middle, wind, cells[:, 2] - depth)
 
     next_g, next_r = (
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
     )
-    missed, inner = next_g - g1, [(pose, ca.vertcat(gm, rm))]
-    if reduced:
-        inner.append((v["z"], m.knot_velocity_guess(r_, between, middle)))
+    missed, gained = next_g - g1, h / 6 * (push + 4 * pushm + push1)
+    inner, rest = [], []
     if t.vehicle.group.size > t.vehicle.group.dim:
-        turn = ca.SX.sym("turn", 3)
-        inner.append((turn, _rotation(xi[0:3], xim[0:3], xi1[0:3], h)))
-        missed[0:4] = _unturned(g[0:4], g1[0:4], turn)
-    at_end = (pi1 - pi - h / 6 * (push + 4 * pushm + push1)) / t.momentum_scale
+        sizes = {"mean": 4, "half": 3, "turn": 3, "bend": pi.shape[0]}
+        mean, half, turn, bend = (ca.SX.sym(name, size) for name, size in sizes.items())
+        gm[0:4] = _halfway(mean, half)
+        inner = [(mean, (g[0:4] + g1[0:4]) / 2), (half, h / 16 * (xi - xi1)[0:3])]
+        rest = [(turn, _rotation(xi[0:3], xim[0:3], xi1[0:3], h))]
+        rest += [(bend, pi - 2 * pim + pi1 - h / 4 * (turned1 - turned))]
+        missed[0:4] = _unturned(g[0:4] - g1[0:4], mean, turn)
+        gained -= h / 30 * _gyroscopic(t, r_, bend)
+    inner.append((pose, ca.vertcat(gm, rm)))
+    velocity = [(v["z"], m.knot_velocity_guess(r_, between, middle))] if reduced else []
+    at_end = (pi1 - pi - gained) / t.momentum_scale
     residuals = [] if reduced else [(pim - between) / t.momentum_scale]
     residuals += [at_end, missed, next_r - r1]
     space = None
@@ -75,7 +83,13 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
         space = SpatialField(places, models, lambda count, order: ground.cells(count))
     z = v.pop("z") if reduced else None
     element = Element(
-        "dynamics", ca.vertcat(*v.values()), t.air, g=ca.vertcat(*residuals), space=space, inner=inner, lacked=z
+        "dynamics",
+        ca.vertcat(*v.values()),
+        t.air,
+        g=ca.vertcat(*residuals),
+        space=space,
+        inner=[*inner, *velocity, *rest],
+        lacked=z,
     )
     n = v["x"].shape[0]
     if not reduced and element.value.n_instructions() <= CHEAP * t.sizes[2]:
@@ -84,25 +98,48 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
     return element
 
 
+def _halfway(mean: Expr, half: Expr) -> Expr:
+    """The attitude (4,) in the middle, to fourth order: that of the ends' mean (4,), turned by twice the vector
+    ``half`` (3,), ``h/16`` times the difference of the ends' rates."""
+    return SO3.compose(mean * (3 - ca.sumsqr(mean)) / 2, ca.vertcat(1, half))
+
+
 def _rotation(first: Expr, middle: Expr, last: Expr, h: Expr) -> Expr:
-    """The rotation vector (3,) of a segment with these body rates (3,) rad/s, to fourth order (Magnus)."""
-    return h / 6 * (first + 4 * middle + last) + h**2 / 12 * ca.cross(middle, last - first)
+    """``y = 4 tan(|x|/4) x/|x|`` (3,) of a segment's rotation vector ``x`` with these body rates (3,) rad/s, to fourth
+    order (Magnus)."""
+    x = h / 6 * (first + 4 * middle + last)
+    return x * (1 + ca.dot(x, x) / 48) + h**2 / 12 * ca.cross(middle, last - first)
 
 
-def _unturned(q: Expr, q1: Expr, x: Expr) -> Expr:
-    """By how much ``q exp(x)`` misses ``q1``, (4,): zero where ``q1 (1 - y/4) = q (1 + y/4)`` with
-    ``y = 4 tan(|x|/4) x/|x|``, to seventh order.
+def _unturned(fallen: Expr, mean: Expr, y: Expr) -> Expr:
+    """By how much a rotation misses the segment's end, (4,): zero where ``q1 (1 - y/4) = q (1 + y/4)``.
 
-    A polynomial of both ends: its second derivatives take a fifth fewer operations than those of the exponential.
+    From the difference of the ends, ``q - q1``, and their mean. A polynomial, whose second derivatives take a fifth
+    fewer operations than those of the exponential.
     """
-    squared = ca.dot(x, x) / 16
-    y = x * (1 + squared / 3 + 2 * squared**2 / 15)
-    return q - q1 + SO3.compose((q + q1) / 4, ca.vertcat(0, y))
+    return fallen + SO3.compose(mean / 2, ca.vertcat(0, y))
+
+
+def _gyroscopic(t: Transcription, r: Expr, pi: Expr) -> Expr:
+    """The gyroscopic force ``ad(xi)^T mu`` at a restricted momentum (n,), as a restricted covector (n,).
+
+    Other forces that change linearly make velocities quadratic in time, hence gyroscopic forces quartic. Simpson's rule
+    misses a thirtieth of that at the second difference of the momentum that they cause, which matters most where
+    controls change within few segments. The momentum that gyroscopic forces cause is of higher degree, and its own
+    second difference would make segments less accurate at constant forces.
+    """
+    u, xi = t.mechanics.knot_velocity(r, pi, ca.SX.zeros(t.sizes[3]))
+    return _on_group(t.vehicle, r, t.vehicle.group.ad(xi).T @ momentum(t.vehicle, r, u, xi)[1])
+
+
+def _on_group(vehicle: Vehicle, r: Expr, force: Expr) -> Expr:
+    """A covector on the group (d,), restricted to the free velocities (n,)."""
+    return project(vehicle, r, ca.SX.zeros(r.shape[0]), force)
 
 
 def _laws(t: Transcription) -> ca.Function:
-    """``(g, r, u, xi, c, wind, cell) -> (g_dot, pi, pi_dot)``: the rate of the group's coordinates, and the restricted
-    momentum with its rate; ``cell`` as in `Transcription.local`."""
+    """``(g, r, u, xi, c, wind, cell) -> (g_dot, pi, pi_dot, turned)``: the rate of the group's coordinates, the
+    restricted momentum with its rate, and the gyroscopic part of that; ``cell`` as in `Transcription.local`."""
     m = t.mechanics
     g, r, c, wind = (m.symbols[name] for name in ("g", "r", "c0", "wind"))
     cell, vehicle = t.local
@@ -111,7 +148,8 @@ def _laws(t: Transcription) -> ca.Function:
     p, mu = momentum(vehicle, r, u, xi)
     applied, steady = vehicle.force(g, r, u, xi, c, wind), conservative(vehicle, g, r)
     on_joints = shape_gradient(vehicle, r, u, xi) + applied[0] + steady[0]
-    on_group = group.ad(xi).T @ mu + applied[1] + steady[1]
+    turned = group.ad(xi).T @ mu
+    on_group = turned + applied[1] + steady[1]
     # the free directions turn with the joints
     fixed_p, fixed_mu = ca.SX.sym("p", p.shape[0]), ca.SX.sym("mu", mu.shape[0])
     turning = ca.jtimes(project(vehicle, r, fixed_p, fixed_mu), r, u) if r.shape[0] else 0
@@ -119,8 +157,9 @@ def _laws(t: Transcription) -> ca.Function:
     s = ca.SX.sym("s")
     flow = ca.jacobian(group.compose(g, group.cay(s * xi)), s)
     g_dot = ca.substitute(flow, s, 0)
-    results = [
-        ca.densify(x) for x in (g_dot, project(vehicle, r, p, mu), project(vehicle, r, on_joints, on_group) + turning)
-    ]
+    pi_dot = project(vehicle, r, on_joints, on_group) + turning
+    results = [ca.densify(x) for x in (g_dot, project(vehicle, r, p, mu), pi_dot, _on_group(vehicle, r, turned))]
     names = ["g", "r", "u", "xi", "c", "wind", "cell"]
-    return ca.Function("laws", [g, r, u, xi, c, wind, cell], ca.cse(results), names, ["g_dot", "pi", "pi_dot"])
+    return ca.Function(
+        "laws", [g, r, u, xi, c, wind, cell], ca.cse(results), names, ["g_dot", "pi", "pi_dot", "turned"]
+    )
