@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -16,11 +17,13 @@ from vehsim.errors import InputError
 from vehsim.planning import Mark, Plan, planner
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certify import refine_and_certify
+from vehsim.planning.constraints.mark_constraints import imbalance
 from vehsim.planning.costs import RunningCosts
 from vehsim.planning.problem.solver import Patience
+from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.character import control_rates, traits_of
 from vehsim.planning.request.request import make_request
-from vehsim.planning.trim import trim
+from vehsim.planning.trim import steady, trim
 from vehsim.vehicles.definition.character import CHARACTERS, Character, Trait
 from vehsim.world.obstacles import moving
 
@@ -352,3 +355,15 @@ def test_traits_of_shipped_vehicles_rise_from_calm_to_brisk() -> None:
         for trait in (*traits.limits.values(), *traits.control_rates.values()):
             assert 0 < trait.calm < trait.normal < trait.brisk and trait.source
         assert traits.response.calm > traits.response.normal > traits.response.brisk > 0
+
+
+@pytest.mark.parametrize("name", ["drift_car", "rally_car", "truck"])
+def test_a_parked_car_is_in_balance(name: str) -> None:
+    """The weight of a body on springs is part of the Lagrangian: plans were to balance 9.81 m/s^2 at rest."""
+    vehicle = vehsim.load_vehicle(name)
+    transcription = transcribe(vehicle)
+    v = transcription.symbols("x", "c0")
+    symbols, off = [v["x"], v["c0"], *transcription.air.values()], imbalance(transcription, v["x"], v["c0"])
+    law = ca.Function("off", symbols, [off])
+    assert np.abs(law(*(np.zeros(symbol.shape[0]) for symbol in symbols))).max() < 1e-9
+    assert steady(vehicle, STILL).holds

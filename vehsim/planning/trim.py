@@ -14,7 +14,7 @@ from vehsim.lie import SO3
 from vehsim.lie.quaternions import from_yaw, yaw_tilt
 from vehsim.planning.problem.nlpsol import nlpsol
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.mechanics import conservative
+from vehsim.vehicles.definition.mechanics import conservative_at_rest
 from vehsim.world.ground.below import aloft
 from vehsim.world.obstacles.articulated import swings_of
 
@@ -179,7 +179,7 @@ def _standing(vehicle: Vehicle) -> ca.Function:
         moving = group.velocity_from_body(still, ca.vertcat(ca.SX.zeros(3), body))
     joints = (ca.SX.zeros(s), ca.SX.zeros(s))
     forces = vehicle.force(still, *joints, moving, c, wind)
-    weight = conservative(vehicle, still, joints[0])
+    weight = conservative_at_rest(vehicle, still, joints[0])
     residual = ca.densify(ca.vertcat(*(a + b for a, b in zip(forces, weight, strict=True))))
     return ca.Function("force", [c, lean, velocity, wind], [residual, ca.densify(ca.jacobian(residual, c))])
 

@@ -21,7 +21,7 @@ from vehsim.planning.request.marks import Gate, Mark, end_of_hold, shape
 from vehsim.planning.terms import KnotView
 from vehsim.planning.trajectory import Trajectory
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.mechanics import conservative, project
+from vehsim.vehicles.definition.mechanics import conservative_at_rest, project
 
 Array = NDArray[np.float64]
 Expr = Any
@@ -226,7 +226,7 @@ def imbalance(transcription: Transcription, x: Expr, c: Expr, everywhere: bool =
     g, r, _ = transcription.split(x)
     still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
     forces = vehicle.force(g, r, *still, c * transcription.control_scale, transcription.air["wind"])
-    weight = conservative(vehicle, g, r)
+    weight = conservative_at_rest(vehicle, g, r)
     total = [a + b for a, b in zip(forces, weight, strict=True)]
     return project(vehicle, r, *total) / transcription.momentum_scale
 

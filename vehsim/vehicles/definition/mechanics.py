@@ -166,6 +166,13 @@ def conservative(vehicle: Definition, g: Expr, r: Expr) -> tuple[Expr, Expr]:
     return on_joints, on_group
 
 
+def conservative_at_rest(vehicle: Definition, g: Expr, r: Expr) -> tuple[Expr, Expr]:
+    """`conservative` with the forces of the Lagrangian's part without velocities, such as a sprung body's weight."""
+    on_joints, on_group = conservative(vehicle, g, r)
+    still = ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim)
+    return on_joints + shape_gradient(vehicle, r, *still), on_group
+
+
 def energy(vehicle: Definition, g: Expr, r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr]:
     """Kinetic and potential energy, J; the part of the Lagrangian without velocities counts as potential."""
     on_joints, on_group = momentum(vehicle, r, u, xi)
