@@ -158,27 +158,58 @@ MULTI_BODY = {
     ),
 }
 SPEED = {"lane change, 30 m/s, 1": 30.0, "bend, 15 m/s, 0.67": 15.0, "bend under braking, 20 m/s": 20.0}
-BRAKES = {"bend under braking, 20 m/s": 3.0}
+# the same with the package's own tyres, from a lean of 2 mrad
+LOPSIDED = {
+    "bend, 25 m/s, 0.33": (
+        [0.0021, 0.0479, 0.0754, 0.08, 0.0809, 0.0811, 0.0811, 0.0811],
+        [0.141, 1.043, 1.684, 1.943, 2.009, 2.023, 2.026, 2.027],
+    ),
+    "slalom, 20 m/s, 0.67": (
+        [0.1176, 0.2352, 0.2405, 0.1154, -0.0762, -0.2194, -0.249, -0.1471],
+        [2.333, 4.278, 4.471, 2.38, -1.563, -3.919, -4.573, -2.93],
+    ),
+    "right bend under braking, 28 m/s": (
+        [-0.003, -0.0862, -0.1411, -0.1529, -0.1723, -0.2207, -0.2294, -0.2376],
+        [-0.181, -1.999, -3.365, -4.052, -4.35, -5.359, -5.949, -6.132],
+    ),
+}
+SPEED |= {"bend, 25 m/s, 0.33": 25.0, "slalom, 20 m/s, 0.67": 20.0, "right bend under braking, 28 m/s": 28.0}
+PACKAGE = {
+    "camber_gains": (-0.324112, -0.785685),
+    "tyre_camber": (-0.002675, -0.031415, -0.037318, 0.32931, -2.8821),
+    "tyre_slip_push": (0.027825, -0.27568, 12.12, 1.9, -10.704),
+}
+BRAKES = {"bend under braking, 20 m/s": 3.0, "right bend under braking, 28 m/s": 2.0}
 """Braking force over mass, m/s^2, from 1.2 s on."""
+BEND = {
+    "bend, 15 m/s, 0.67": 0.22 * 0.67,
+    "bend, 25 m/s, 0.33": 0.08 * 0.33,
+    "bend under braking, 20 m/s": 0.1,
+    "right bend under braking, 28 m/s": -0.045,
+}
+"""Rate of the steering angle from 0.2 to 0.5 s, rad/s."""
 
 
 def turned(name, t):
     """Rate of the steering angle, rad/s, as in the benchmark."""
     if name.startswith("lane change"):
         return 0.16 * np.cos(5 * t) * (t < 0.4 * np.pi)
-    rate = 0.1 if name in BRAKES else 0.22 * 0.67
+    if name.startswith("slalom"):
+        return 0.15 * 0.67 * np.cos(3 * t)
+    rate = BEND[name]
     return np.interp(t, [0.2, 0.21, 0.5, 0.51], [0, rate, rate, 0])
 
 
-@pytest.mark.parametrize("name", MULTI_BODY)
+@pytest.mark.parametrize("name", MULTI_BODY | LOPSIDED)
 def test_a_multi_body_model_turns_and_sways_alike(name):
     """Vehicle 2 (BMW 320i); springs, dampers and bars in series with the tyres', on the mean track."""
+    lean, lopsided = (0.002, PACKAGE) if name in LOPSIDED else (0.0, {})
     height = 0.582253
     car = four_wheel_car(
         mass=1093.2952334674046, yaw_inertia=1791.5995300122856, roll_inertia=207.26524557936952,
         pitch_inertia=1565.8178787125541, front=1.1561957064, rear=1.4227170936, half_track=0.68771,
         mass_height=height, wheel_radius=0.344, wheel_inertia=1.7, engine_inertia=1e-3, springs=(21181.1, 17468.6),
-        dampers=(1240.65, 1264.48), bars=(5326.11, 1785.95), brake_front=0.66, low_speed=0.5, scrub=0.0,
+        dampers=(1210.59, 1241.51), bars=(6872.16, 2962.34), brake_front=0.66, low_speed=0.5, scrub=0.0, **lopsided,
     )  # fmt: skip
     times = np.linspace(0, 2, 2 * STEPS + 1)
     rate = turned(name, times)
@@ -186,8 +217,9 @@ def test_a_multi_body_model_turns_and_sways_alike(name):
     controls = np.zeros((len(times), 4))
     controls[:, 1] = 1093.2952334674046 * 0.344 * np.interp(times, [1, 1.2], [0, BRAKES.get(name, 0.0)])
     controls[:, 3] = rate / np.cos(delta) ** 2
-    clip = Integrator(car, times[1]).rollout(State(twist=(0, SPEED[name], 0)), controls)
     at = {joint: k for k, joint in enumerate(car.joints)}
+    joints = lean * (np.arange(len(at)) == at["roll"])
+    clip = Integrator(car, times[1]).rollout(State(twist=(0, SPEED[name], 0), joints=joints), controls)
     heave, pitch, roll = (clip.joints[:, at[joint]] for joint in ("heave", "pitch", "roll"))
     rising, pitching, rolling = (clip.joint_rates[:, at[joint]] for joint in ("heave", "pitch", "roll"))
     turn, along, across = clip.twists.T
@@ -195,7 +227,7 @@ def test_a_multi_body_model_turns_and_sways_alike(name):
     surge = along + turn * (height + heave) * roll + (height + heave) * pitching + rising * pitch
     sideways = np.gradient(sway, times) + turn * surge
     every = np.arange(1, 9) * STEPS // 4
-    for ours, theirs in zip((turn, sideways), MULTI_BODY[name], strict=True):
+    for ours, theirs in zip((turn, sideways), (MULTI_BODY | LOPSIDED)[name], strict=True):
         assert np.abs(ours[every] - theirs).max() < 0.03 * np.abs(theirs).max()
 
 
@@ -216,6 +248,21 @@ def test_a_tyre_that_leans_pushes_to_that_side(lean):
         assert aside == pytest.approx(-pure(angle + 0.0314 * lean) - 0.329 * lean, rel=2e-3, abs=1e-4)
         assert along == pytest.approx(0, abs=1e-9)
     assert np.sign(aside_of(tyre, lean)) == -np.sign(lean)
+
+
+@pytest.mark.parametrize(("slip", "angle", "lean"), [(-0.05, 0.02, 0.03), (0.1, -0.04, -0.02), (0.02, 0.0, 0.0)])
+def test_longitudinal_slip_pushes_sideways(slip, angle, lean):
+    """Pacejka's eq. 4.E65 and 4.E66, on gravel too; nothing without slip."""
+    law = (0.028, -0.28, 12.1, 1.9, -10.7)
+    numbers = (LONGITUDINAL, LATERAL, WEIGHTS_LONGITUDINAL, WEIGHTS_LATERAL, 0.7, 1.0)
+    plain, pushed = Tyre(*numbers), Tyre(*numbers, slip_push=law)
+    expected = 0.7 * LATERAL[1] * (0.028 - 0.28 * lean) * math.cos(math.atan(12.1 * angle))
+    expected *= math.sin(1.9 * math.atan(-10.7 * slip))
+    along, aside = np.ravel(ca.DM(pushed.force(slip, angle, lean) - plain.force(slip, angle, lean)))
+    assert along == 0 and aside == pytest.approx(expected, rel=1e-9)
+    assert np.ravel(ca.DM(pushed.force(0.0, angle, lean) - plain.force(0.0, angle, lean)))[1] == pytest.approx(
+        0, abs=1e-15
+    )
 
 
 def aside_of(tyre, lean):

@@ -1,8 +1,8 @@
 """A car whose tyres slip: single track, wheel spin, combined slip and load transfer, from standstill to sliding.
 
 The model of M. Althoff and G. Wuersching, CommonRoad: Vehicle Models (2020), section 8 (single-track drift model),
-except that loads follow the forces of the tyres instead of the requested acceleration, that brakes oppose the spin of
-their wheels, and that `tyres` is smooth at standstill.
+except that loads follow the forces of the tyres instead of the requested acceleration unless that is asked for, that
+brakes oppose the spin of their wheels, and that `tyres` is smooth at standstill.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from vehsim.vehicles.models.tyres import (
     LATERAL,
     LONGITUDINAL,
     SPIN,
+    STRAIGHT,
     WEIGHTS_LATERAL,
     WEIGHTS_LONGITUDINAL,
+    Five,
     Four,
     Share,
     Tyre,
@@ -60,6 +62,8 @@ def drift_car(
     tyre_lateral: Four = LATERAL,
     tyre_weights_longitudinal: Four = WEIGHTS_LONGITUDINAL,
     tyre_weights_lateral: Four = WEIGHTS_LATERAL,
+    tyre_slip_push: Five = STRAIGHT,
+    demanded_transfer: Share = 0.0,
 ) -> Nonholonomic:
     """A single-track car whose body frame stands below its centre of mass, on the ground.
 
@@ -67,14 +71,18 @@ def drift_car(
     and ``mass_height``, m; ``wheel_radius`` and ``half_track`` m; ``front_inertia``, ``rear_inertia``: both wheels of
     an axle, the driven ones with engine and gears, kg m^2; ``drive_front``, ``brake_front``: the front axle's share of
     ``drive`` and ``brake`` (drive 0: rear-wheel, 1: front-wheel drive); ``surface``: a name of `SURFACES`;
-    ``friction``: factor of its friction; ``low_speed`` m/s and the tyres' coefficients: see `Tyre`.
+    ``friction``: factor of its friction; ``low_speed`` m/s and the tyres' coefficients, ``tyre_slip_push``
+    among them: see `Tyre`.
+    ``demanded_transfer``: whether loads shift with the car's acceleration, 0, or, as in CommonRoad's model, with that
+    which ``drive`` and ``brake`` would give without slip, 1.
     Joints: ``psi``, roll of the rear wheels, ``sigma``, tangent of the steering angle, ``psi_front``, roll of the front
     wheels. Controls: ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m],
     ``steering_rate``, the rate of sigma [1/s]. Channels: ``roll_*`` and Ackermann ``steer_*`` [rad]; ``slip_*``, speed
     of the contact over the ground [m/s], ``slip_ratio_*``, ``slip_angle_*`` [rad] and ``load_*`` [N] of each wheel.
     """
     tyre = Tyre(
-        tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed
+        tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed,
+        slip_push=tyre_slip_push,
     ).on(surface)  # fmt: skip
     wheelbase = front + rear
     tyre.check(mass_height, min(front, rear), "lift an axle", name)
@@ -92,7 +100,7 @@ def drift_car(
             ca.vertcat(xi[1], xi[2] - rear * xi[0]),
         )
 
-    def contact(r: Expr, u: Expr, xi: Expr) -> tuple[Expr, Expr, tuple[Expr, Expr]]:
+    def contact(r: Expr, u: Expr, xi: Expr, c: Expr) -> tuple[Expr, Expr, tuple[Expr, Expr]]:
         """Forces over load of the front and rear tyres in their own axes, and the axles' loads, N."""
         hubs = velocities(r, xi)
         ahead = tyre.force(*tyre.slip(hubs[0], wheel_radius * u[2]))
@@ -101,11 +109,12 @@ def drift_car(
         cosine, sine = steered(r[1])
         pull = cosine * ahead[0] - sine * ahead[1]
         a = GRAVITY * (pull * rear + behind[0] * front) / (wheelbase + mass_height * (pull - behind[0]))
+        a += demanded_transfer * ((c[0] - c[1]) / (mass * wheel_radius) - a)
         loads = (GRAVITY * rear - a * mass_height, GRAVITY * front + a * mass_height)
         return ahead, behind, (mass * loads[0] / wheelbase, mass * loads[1] / wheelbase)
 
     def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> tuple[Expr, Expr]:
-        ahead, behind, loads = contact(r, u, xi)
+        ahead, behind, loads = contact(r, u, xi, c)
         ahead, behind = ahead * loads[0], behind * loads[1]
         cosine, sine = steered(r[1])
         push, aside = cosine * ahead[0] - sine * ahead[1], sine * ahead[0] + cosine * ahead[1]
@@ -132,7 +141,7 @@ def drift_car(
         return Channel(value=value)
 
     def load(axle: int) -> Channel:
-        return Channel(value=lambda t, r, u, xi, c: contact(r, u, xi)[2][axle] / 2)
+        return Channel(value=lambda t, r, u, xi, c: contact(r, u, xi, c)[2][axle] / 2)
 
     def roll(joint: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: r[joint])

@@ -28,6 +28,7 @@ from vehsim.vehicles.models.tyres import (
     LATERAL,
     LONGITUDINAL,
     SPIN,
+    STRAIGHT,
     UPRIGHT,
     WEIGHTS_LATERAL,
     WEIGHTS_LONGITUDINAL,
@@ -87,6 +88,7 @@ def four_wheel_car(
     tyre_weights_lateral: Four = WEIGHTS_LATERAL,
     camber_gains: CamberGain = (0.0, 0.0),
     tyre_camber: Five = UPRIGHT,
+    tyre_slip_push: Five = STRAIGHT,
     scrub: Share = 1.0,
 ) -> Nonholonomic:
     """A car whose body frame stands below its centre of mass, on the ground, and does not tilt.
@@ -99,8 +101,8 @@ def four_wheel_car(
     all-wheel with an open centre differential); ``surface``: a name of `SURFACES`; ``friction``: factor of its
     friction; ``low_speed`` and the tyres' coefficients: see `Tyre`. Wheels lean with the body, and push sideways if
     ``tyre_camber`` is given; ``camber_gains`` of the (front, rear) axle: how far the tops of its wheels lean in per
-    metre that the body rises above them, rad/m. ``scrub``: how much of the speed at which contacts move sideways below
-    a rolling body the tyres feel: 1, or 0 as in CommonRoad's models.
+    metre that the body rises above them, rad/m. ``tyre_slip_push``: see ``slip_push`` of `Tyre`. ``scrub``: how much of
+    the speed at which contacts move sideways below a rolling body the tyres feel: 1, or 0 as in CommonRoad's models.
     Joints: ``psi_*``, roll of each wheel, or of both wheels of a locked axle, rad; ``sigma``, tangent of the steering
     angle; ``heave`` m, ``pitch`` (nose down) and ``roll`` (left side up) rad of the body on its springs. Controls:
     ``drive`` on the driven axles, ``brake`` on all wheels and ``handbrake`` on the rear ones [N m], ``steering_rate``,
@@ -109,7 +111,7 @@ def four_wheel_car(
     """
     tyre = Tyre(
         tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed,
-        camber=tyre_camber,
+        camber=tyre_camber, slip_push=tyre_slip_push,
     ).on(surface)  # fmt: skip
     wheelbase = front + rear
     tyre.check(mass_height, min(front, rear, half_track), "tip over a car whose wheels are", name)

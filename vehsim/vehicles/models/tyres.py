@@ -33,6 +33,8 @@ WEIGHTS_LATERAL: Four = (7.1433, 9.1916, 1.0719, -0.27572)
 """The tyre of CommonRoad (2020), table 7, from the ADAMS handbook; see `Tyre`."""
 UPRIGHT: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
 """A tyre that does not feel camber."""
+STRAIGHT: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
+"""A tyre that longitudinal slip does not push sideways."""
 CONTROLS = (
     Control("drive", unit="N m"),
     Control("brake", lower=0.0, unit="N m"),
@@ -59,7 +61,9 @@ class Tyre:
     ``weights_lateral``: B1, B2, C and E of combined slip. ``friction``: factor of the peak friction on this surface.
     ``low_speed``: v_0, m/s. ``stiffness``: factor of the slip stiffness on this surface. ``camber``: H, H', V, V' and D
     of a wheel that leans to its right by g rad (eq. 4.E20 to 4.E29): its slip angle counts H sign(g) + H' g more, it
-    pushes left with V sign(g) + V' g of its load, and the peak friction changes by the factor 1 - D g^2.
+    pushes left with V sign(g) + V' g of its load, and the peak friction changes by the factor 1 - D g^2. ``slip_push``:
+    V1, V3, V4, V5 and V6 of the push to the left by longitudinal slip k at the slip angle a, over the peak friction:
+    (V1 + V3 g) cos(atan(V4 a)) sin(V5 atan(V6 k)) (eq. 4.E65 to 4.E66).
     """
 
     longitudinal: Sequence[float]
@@ -70,6 +74,7 @@ class Tyre:
     low_speed: float
     stiffness: float = 1.0
     camber: Sequence[float] = UPRIGHT
+    slip_push: Sequence[float] = STRAIGHT
 
     def on(self, surface: SurfaceName) -> Tyre:
         """The same tyre on another surface than dry asphalt."""
@@ -90,6 +95,10 @@ class Tyre:
         along = self._pure(slip, self.longitudinal) * _weight(angle, slip, self.weights_longitudinal)
         pure = self._pure(turned, self.lateral, 1 - peak * lean**2) - thrust
         aside = pure * _weight(slip, angle, self.weights_lateral)
+        if any(self.slip_push):
+            always, leaning, narrowing, shape, slope = self.slip_push
+            most = self.friction * self.lateral[1] * (1 - peak * lean**2) * (always + leaning * lean)
+            aside -= most * ca.cos(ca.atan(narrowing * angle)) * ca.sin(shape * ca.atan(slope * slip))
         return ca.vertcat(along, -aside)
 
     @property
