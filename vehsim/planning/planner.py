@@ -215,7 +215,7 @@ def plan(
 
     ``time_limit``: seconds after the call at which the best motion so far is returned, certified. It includes loading:
     below about 0.5 s, or 1 s near terrain, you may get only the initial guess, and a message that says so. Distances to
-    a new terrain are measured once, which takes seconds, and are cached.
+    a new terrain are measured once, which takes a fraction of a second, and are cached.
 
     Raises ``InputError`` for an invalid request. A request without a solution returns a plan with ``success = False``
     and a message, and warns.
