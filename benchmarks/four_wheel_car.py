@@ -122,7 +122,7 @@ def our_car(p: Any) -> Any:
         drive_front=p.T_se, brake_front=p.T_sb, low_speed=0.5, scrub=0.0,
         camber_gains=[gain * share for gain, share in zip((p.D_f, p.D_r), above, strict=True)],
         tyre_camber=(-t.p_hy1, -t.p_hy3, -t.p_vy1, -t.p_vy3, t.p_dy3),
-        tyre_slip_push=(-t.r_vy1, t.r_vy3, t.r_vy4, t.r_vy5, t.r_vy6),
+        tyre_slip_push=(-t.r_vy1, t.r_vy3),
     )  # fmt: skip
 
 

@@ -177,7 +177,7 @@ SPEED |= {"bend, 25 m/s, 0.33": 25.0, "slalom, 20 m/s, 0.67": 20.0, "right bend 
 PACKAGE = {
     "camber_gains": (-0.324112, -0.785685),
     "tyre_camber": (-0.002675, -0.031415, -0.037318, 0.32931, -2.8821),
-    "tyre_slip_push": (0.027825, -0.27568, 12.12, 1.9, -10.704),
+    "tyre_slip_push": (0.027825, -0.27568),
 }
 BRAKES = {"bend under braking, 20 m/s": 3.0, "right bend under braking, 28 m/s": 2.0}
 """Braking force over mass, m/s^2, from 1.2 s on."""
@@ -253,11 +253,10 @@ def test_a_tyre_that_leans_pushes_to_that_side(lean):
 @pytest.mark.parametrize(("slip", "angle", "lean"), [(-0.05, 0.02, 0.03), (0.1, -0.04, -0.02), (0.02, 0.0, 0.0)])
 def test_longitudinal_slip_pushes_sideways(slip, angle, lean):
     """Pacejka's eq. 4.E65 and 4.E66, on gravel too; nothing without slip."""
-    law = (0.028, -0.28, 12.1, 1.9, -10.7)
     numbers = (LONGITUDINAL, LATERAL, WEIGHTS_LONGITUDINAL, WEIGHTS_LATERAL, 0.7, 1.0)
-    plain, pushed = Tyre(*numbers), Tyre(*numbers, slip_push=law)
-    expected = 0.7 * LATERAL[1] * (0.028 - 0.28 * lean) * math.cos(math.atan(12.1 * angle))
-    expected *= math.sin(1.9 * math.atan(-10.7 * slip))
+    plain, pushed = Tyre(*numbers), Tyre(*numbers, slip_push=(0.028, -0.28))
+    expected = 0.7 * LATERAL[1] * (0.028 - 0.28 * lean) * math.cos(math.atan(12.12 * angle))
+    expected *= math.sin(1.9 * math.atan(-10.704 * slip))
     along, aside = np.ravel(ca.DM(pushed.force(slip, angle, lean) - plain.force(slip, angle, lean)))
     assert along == 0 and aside == pytest.approx(expected, rel=1e-9)
     assert np.ravel(ca.DM(pushed.force(0.0, angle, lean) - plain.force(0.0, angle, lean)))[1] == pytest.approx(

@@ -113,7 +113,7 @@ def both(name, follow, low_speed):
     vehicle = drift_car(
         mass=M, yaw_inertia=IZ, front=LF, rear=LR, mass_height=H, wheel_radius=RW, half_track=0.7, front_inertia=IW,
         rear_inertia=IW, drive_front=0.0, brake_front=BRAKE_FRONT, low_speed=low_speed,
-        **({} if follow else {"demanded_transfer": 1.0, "tyre_slip_push": (0.027825, 0.0, 12.12, 1.9, -10.704)}),
+        **({} if follow else {"demanded_transfer": 1.0, "tyre_slip_push": 0.027825}),
     )  # fmt: skip
     rate = steer(times)
     delta = np.concatenate([[0], np.cumsum(np.diff(times) * (rate[1:] + rate[:-1]) / 2)])

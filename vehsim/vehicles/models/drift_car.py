@@ -25,10 +25,8 @@ from vehsim.vehicles.models.tyres import (
     LATERAL,
     LONGITUDINAL,
     SPIN,
-    STRAIGHT,
     WEIGHTS_LATERAL,
     WEIGHTS_LONGITUDINAL,
-    Five,
     Four,
     Share,
     Tyre,
@@ -62,7 +60,7 @@ def drift_car(
     tyre_lateral: Four = LATERAL,
     tyre_weights_longitudinal: Four = WEIGHTS_LONGITUDINAL,
     tyre_weights_lateral: Four = WEIGHTS_LATERAL,
-    tyre_slip_push: Five = STRAIGHT,
+    tyre_slip_push: Annotated[float, Unit("")] = 0.0,
     demanded_transfer: Share = 0.0,
 ) -> Nonholonomic:
     """A single-track car whose body frame stands below its centre of mass, on the ground.
@@ -71,8 +69,8 @@ def drift_car(
     and ``mass_height``, m; ``wheel_radius`` and ``half_track`` m; ``front_inertia``, ``rear_inertia``: both wheels of
     an axle, the driven ones with engine and gears, kg m^2; ``drive_front``, ``brake_front``: the front axle's share of
     ``drive`` and ``brake`` (drive 0: rear-wheel, 1: front-wheel drive); ``surface``: a name of `SURFACES`;
-    ``friction``: factor of its friction; ``low_speed`` m/s and the tyres' coefficients, ``tyre_slip_push``
-    among them: see `Tyre`.
+    ``friction``: factor of its friction; ``low_speed`` m/s and the tyres' coefficients: see `Tyre`;
+    ``tyre_slip_push``: V1 of its ``slip_push``.
     ``demanded_transfer``: whether loads shift with the car's acceleration, 0, or, as in CommonRoad's model, with that
     which ``drive`` and ``brake`` would give without slip, 1.
     Joints: ``psi``, roll of the rear wheels, ``sigma``, tangent of the steering angle, ``psi_front``, roll of the front
@@ -82,7 +80,7 @@ def drift_car(
     """
     tyre = Tyre(
         tyre_longitudinal, tyre_lateral, tyre_weights_longitudinal, tyre_weights_lateral, friction, low_speed,
-        slip_push=tyre_slip_push,
+        slip_push=(tyre_slip_push, 0.0),
     ).on(surface)  # fmt: skip
     wheelbase = front + rear
     tyre.check(mass_height, min(front, rear), "lift an axle", name)

@@ -35,6 +35,7 @@ from vehsim.vehicles.models.tyres import (
     Five,
     Four,
     Share,
+    Two,
     Tyre,
     brake,
     sliding,
@@ -88,7 +89,7 @@ def four_wheel_car(
     tyre_weights_lateral: Four = WEIGHTS_LATERAL,
     camber_gains: CamberGain = (0.0, 0.0),
     tyre_camber: Five = UPRIGHT,
-    tyre_slip_push: Five = STRAIGHT,
+    tyre_slip_push: Two = STRAIGHT,
     scrub: Share = 1.0,
 ) -> Nonholonomic:
     """A car whose body frame stands below its centre of mass, on the ground, and does not tilt.

@@ -24,6 +24,7 @@ from vehsim.vehicles.definition.quantities import Unit
 from vehsim.vehicles.definition.surfaces import SURFACES, SurfaceName
 
 Share = Annotated[float, Unit(""), Interval(ge=0, le=1)]
+Two = Annotated[tuple[float, float], Len(2, 2), Unit("")]
 Four = Annotated[tuple[float, float, float, float], Len(4, 4), Unit("")]
 Five = Annotated[tuple[float, float, float, float, float], Len(5, 5), Unit("")]
 LONGITUDINAL: Four = (1.6411, 1.1739, 0.46403, 22.303)
@@ -33,8 +34,10 @@ WEIGHTS_LATERAL: Four = (7.1433, 9.1916, 1.0719, -0.27572)
 """The tyre of CommonRoad (2020), table 7, from the ADAMS handbook; see `Tyre`."""
 UPRIGHT: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
 """A tyre that does not feel camber."""
-STRAIGHT: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
+STRAIGHT: Two = (0.0, 0.0)
 """A tyre that longitudinal slip does not push sideways."""
+PUSHED = (12.12, 1.9, -10.704)
+"""V4, V5 and V6 of the push by longitudinal slip, of the same tyre."""
 CONTROLS = (
     Control("drive", unit="N m"),
     Control("brake", lower=0.0, unit="N m"),
@@ -62,8 +65,8 @@ class Tyre:
     ``low_speed``: v_0, m/s. ``stiffness``: factor of the slip stiffness on this surface. ``camber``: H, H', V, V' and D
     of a wheel that leans to its right by g rad (eq. 4.E20 to 4.E29): its slip angle counts H sign(g) + H' g more, it
     pushes left with V sign(g) + V' g of its load, and the peak friction changes by the factor 1 - D g^2. ``slip_push``:
-    V1, V3, V4, V5 and V6 of the push to the left by longitudinal slip k at the slip angle a, over the peak friction:
-    (V1 + V3 g) cos(atan(V4 a)) sin(V5 atan(V6 k)) (eq. 4.E65 to 4.E66).
+    V1 and V3 of the push to the left by longitudinal slip k at the slip angle a, over the peak friction:
+    (V1 + V3 g) cos(atan(V4 a)) sin(V5 atan(V6 k)) (eq. 4.E65 to 4.E66; the others are `PUSHED`).
     """
 
     longitudinal: Sequence[float]
@@ -96,7 +99,7 @@ class Tyre:
         pure = self._pure(turned, self.lateral, 1 - peak * lean**2) - thrust
         aside = pure * _weight(slip, angle, self.weights_lateral)
         if any(self.slip_push):
-            always, leaning, narrowing, shape, slope = self.slip_push
+            (always, leaning), (narrowing, shape, slope) = self.slip_push, PUSHED
             most = self.friction * self.lateral[1] * (1 - peak * lean**2) * (always + leaning * lean)
             aside -= most * ca.cos(ca.atan(narrowing * angle)) * ca.sin(shape * ca.atan(slope * slip))
         return ca.vertcat(along, -aside)
