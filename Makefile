@@ -23,7 +23,7 @@ help:
 	@echo "make bench-live         drag marks of live sessions through the protocol, and open the examples; writes RESULTS.live.md, RESULTS.openings.md"
 	@echo "make bench-unseen       plan 1,600 random problems: the share certified, and why the others failed (hours; resumes)"
 	@echo "make bench-collocation  compare DMOC with collocation; writes RESULTS.collocation.md"
-	@echo "make bench-peers        plan beside Drake and CasADi; writes RESULTS.peers.md (three minutes)"
+	@echo "make bench-peers        plan beside Drake and CasADi; writes RESULTS.peers.md (six minutes)"
 	@echo "make bench-growth       measure how CPU time and memory grow with frames, clips, vehicles, segments and obstacles"
 	@echo "make bench-export       compare baking, pictures and batches with alternatives (ten minutes)"
 	@echo "make audit-random       export a thousand random shots and measure them from USD alone (hours; resumes)"
