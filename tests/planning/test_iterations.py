@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 import vehsim
 from vehsim import Mark
 from vehsim.planning import iterate
 from vehsim.planning.constraints.dynamics import equations
+from vehsim.planning.guesses.routes import find_paths
 from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.request.request import make_request
+from vehsim.runtime.progress import silent
 
 REST = (0.0, 0.0, 0.0)
 
@@ -31,6 +36,25 @@ def test_a_boat_held_at_rest_takes_few_iterations():
     pause = Mark(981, position=(34.4, 16.6, 0.0), velocity=REST, hold=48)
     plan = vehsim.plan(vehsim.load_vehicle("boat"), None, [first, pause, last])
     assert plan.success and plan.iterations < 100
+
+
+def test_a_car_on_tyres_goes_ahead_and_aside():
+    """Its guess slid sideways along a straight path: that took 747 iterations, and failed."""
+    plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, marks((1, 0, 0, 0), (337, 40, 10, 0)))
+    assert plan.success and plan.character == "normal" and plan.iterations < 250
+
+
+def test_the_guess_of_a_car_on_tyres_follows_its_marks():
+    def guess(vehicle, *rows):
+        given = make_request(vehsim.load_vehicle(vehicle), vehsim.World(), marks(*rows), fps=24, segments=64)
+        return find_paths(given, None, silent)[0]
+
+    path = guess("drift_car", (1, 0, 0, 0), (337, 40, 10, 60))
+    first, last = path[1] - path[0], path[-1] - path[-2]
+    assert abs(math.degrees(math.atan2(first[1], first[0]))) < 3
+    assert abs(math.degrees(math.atan2(last[1], last[0])) - 60) < 3
+    assert len(guess("car", (1, 0, 0, 0), (337, 40, 10, 60))) == 2  # it cannot slide
+    assert len(guess("drift_car", (1, 0, 0, 0), (337, -40, 10, 0))) == 2  # the mark is behind it
 
 
 def test_a_motion_that_actuators_cannot_follow_is_solved_again_from_itself(monkeypatch):

@@ -27,6 +27,9 @@ SWING, SWINGS, LAG = 1.1, 0.6, 0.6
 """Initial guess for vehicles that swing joints: period, s; share of the joints' limits; phase lag between joints,
 rad."""
 
+ANGLES, SLOW = 61, 0.05
+"""Steering angles tried for a vehicle on tyres; share of its largest speed below which it counts as at rest."""
+
 
 def along_paths(
     transcription: Transcription,
@@ -197,12 +200,32 @@ def _swing(vehicle: Vehicle, h: Array) -> tuple[Array, Array]:
 
 
 def _rolling(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
-    """Joints (n + 1, s) and rates (n, s) of wheels that roll straight ahead, though they might slip."""
+    """Joints (n + 1, s) and rates (n, s) of wheels that roll along twists ``xi`` (n, d), though they might slip: they
+    are steered to where tyres push the vehicle least."""
     assert vehicle.rolling is not None
-    straight, twist = ca.SX.zeros(len(vehicle.joints)), ca.SX.sym("twist", vehicle.group.dim)
-    rates = ca.Function("rates", [twist], [ca.densify(vehicle.rolling(straight, twist))])
-    u = np.array(rates(xi.T)).T
-    return np.vstack([np.zeros(u.shape[1]), np.cumsum(u * h[:, None], axis=0)]), u
+    n, s = len(xi), len(vehicle.joints)
+    r, twist = ca.SX.sym("r", s), ca.SX.sym("twist", vehicle.group.dim)
+    rates = ca.densify(vehicle.rolling(r, twist))
+    pose, idle = ca.SX(list(vehicle.group.identity)), ca.SX.zeros(len(vehicle.controls))
+    _, push = vehicle.force(pose, r, rates, twist, idle, ca.SX.zeros(3))
+    law = ca.Function("rolling", [r, twist], [rates, ca.sumsqr(push)])
+    turned = np.zeros((n + 1, s))
+    speed = np.linalg.norm(xi, axis=1)
+    fast = np.flatnonzero(speed > SLOW * speed.max())  # where it is nearly at rest, any angle is valid
+    for joint in vehicle.rate_controls.values() if len(fast) else ():
+        k, values = vehicle.joints.index(joint), np.linspace(*vehicle.joint_limits[joint], ANGLES)
+        tried = np.eye(s)[k][:, None] * np.tile(values, len(fast))
+        pushes = np.asarray(law.map(tried.shape[1])(tried, np.repeat(xi[fast].T, ANGLES, axis=1))[1])
+        best = values[np.argmin(pushes.reshape(len(fast), ANGLES), axis=1)]
+        steered = np.interp(np.arange(n + 1), fast, best)
+        turned[:, k] = np.convolve(np.pad(steered, 2, mode="edge"), np.ones(5) / 5, mode="valid")
+    u = np.asarray(law.map(n)(turned[:-1].T, xi.T)[0]).T
+    for k, joint in enumerate(vehicle.joints):
+        if joint in vehicle.rate_controls.values():
+            u[:, k] = np.diff(turned[:, k]) / h
+        else:
+            turned[1:, k] = np.cumsum(u[:, k] * h)
+    return turned, u
 
 
 def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:

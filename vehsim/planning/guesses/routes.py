@@ -23,6 +23,7 @@ from vehsim.planning.request.request import Request, search_boxes
 from vehsim.planning.trim import swims
 from vehsim.runtime.progress import Progress, silent
 from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.character import STUNT
 from vehsim.world.distance.route import check_free
 
 Array = NDArray[np.float64]
@@ -31,6 +32,9 @@ DETOUR = 1.5
 """Largest length of a preferred wide route, relative to a narrow route."""
 RUN_UP = 0.5
 """Length of the straight way to a mark that is passed in a direction, relative to the turning radius."""
+
+CURVE_POINTS = 33
+"""Points of a curve from mark to mark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,7 @@ def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
     if not request.hazards:
         parts = parts_in_reach(request.vehicle, request.world, request.marks, request.clearance)
         if not parts:
-            return straight(request)
+            return curved(request)
         progress("searching for a path among obstacles", 0.0)
         return divided(drive(replace(request, marks=kept), parts), request.marks)
     return (
@@ -164,6 +168,36 @@ def _length(paths: Sequence[Array]) -> float:
 def straight(request: Request) -> list[Array]:
     """A straight path for every leg."""
     return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
+
+
+def curved(request: Request) -> list[Array]:
+    """The same, but for a vehicle on tyres, bent into the directions at marks: it would slide sideways along a straight
+    path, and the forces of tyres that slide do not show a solver the way back."""
+    paths = straight(request)
+    if request.vehicle.rolling is None or request.loop or request.traits.name == STUNT:
+        return paths  # a stunt may slide
+    directions = pairwise(_direction(mark) for mark in request.marks)
+    return [_curve(path, *ends) for path, ends in zip(paths, directions, strict=True)]
+
+
+def _curve(path: Array, start: Array | None, end: Array | None) -> Array:
+    """A cubic curve (k, 3) between the ends of a path that leaves and arrives in horizontal directions (3,), by default
+    along the path; the path itself if one of them leads back."""
+    chord = path[-1] - path[0]
+    length = float(np.linalg.norm(chord))
+    slopes = [chord if way is None else length * way for way in (start, end)]
+    if len(path) != 2 or min(slope @ chord for slope in slopes) < 0:
+        return path
+    t = np.linspace(0.0, 1.0, CURVE_POINTS)[:, None]
+    return np.asarray(path[0] + t**2 * (3 - 2 * t) * chord + t * (1 - t) ** 2 * slopes[0] - t**2 * (1 - t) * slopes[1])
+
+
+def _direction(mark: Mark) -> Array | None:
+    """The horizontal direction (3,) in which a vehicle passes a mark or, at rest, in which it points; None if free."""
+    if (along := _approach(mark, 1.0)).any():
+        return along
+    heading = heading_of(mark)
+    return None if heading is None else np.array([math.cos(heading), math.sin(heading), 0.0])
 
 
 def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
