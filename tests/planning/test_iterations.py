@@ -49,11 +49,12 @@ def test_the_guess_of_a_car_on_tyres_follows_its_marks():
         given = make_request(vehsim.load_vehicle(vehicle), vehsim.World(), marks(*rows), fps=24, segments=64)
         return find_paths(given, None, silent)[0]
 
-    path = guess("drift_car", (1, 0, 0, 0), (337, 40, 10, 60))
+    path = guess("drift_car", (1, 0, 0, 0), (337, 40, 10, 30))
     first, last = path[1] - path[0], path[-1] - path[-2]
     assert abs(math.degrees(math.atan2(first[1], first[0]))) < 3
-    assert abs(math.degrees(math.atan2(last[1], last[0])) - 60) < 3
+    assert abs(math.degrees(math.atan2(last[1], last[0])) - 30) < 3
     assert len(guess("car", (1, 0, 0, 0), (337, 40, 10, 60))) == 2  # it cannot slide
+    assert len(guess("drift_car", (1, 0, 0, 0), (337, 40, 10, 60))) == 2  # too sharp
     assert len(guess("drift_car", (1, 0, 0, 0), (337, -40, 10, 0))) == 2  # the mark is behind it
 
 

@@ -33,8 +33,9 @@ DETOUR = 1.5
 RUN_UP = 0.5
 """Length of the straight way to a mark that is passed in a direction, relative to the turning radius."""
 
-CURVE_POINTS = 33
-"""Points of a curve from mark to mark."""
+CURVE_POINTS, GENTLE = 33, math.radians(25.0)
+"""Points of a curve from mark to mark; its largest angle with the straight line at its ends, rad: from sharper curves,
+a car on tyres was solved less often than from straight lines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,11 +183,11 @@ def curved(request: Request) -> list[Array]:
 
 def _curve(path: Array, start: Array | None, end: Array | None) -> Array:
     """A cubic curve (k, 3) between the ends of a path that leaves and arrives in horizontal directions (3,), by default
-    along the path; the path itself if one of them leads back."""
+    along the path; the path itself if one of them is not within `GENTLE` of it."""
     chord = path[-1] - path[0]
     length = float(np.linalg.norm(chord))
     slopes = [chord if way is None else length * way for way in (start, end)]
-    if len(path) != 2 or min(slope @ chord for slope in slopes) < 0:
+    if len(path) != 2 or min(slope @ chord for slope in slopes) < math.cos(GENTLE) * length**2:
         return path
     t = np.linspace(0.0, 1.0, CURVE_POINTS)[:, None]
     return np.asarray(path[0] + t**2 * (3 - 2 * t) * chord + t * (1 - t) ** 2 * slopes[0] - t**2 * (1 - t) * slopes[1])
