@@ -218,7 +218,7 @@ def _rolling(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
         pushes = np.asarray(law.map(tried.shape[1])(tried, np.repeat(xi[fast].T, ANGLES, axis=1))[1])
         best = values[np.argmin(pushes.reshape(len(fast), ANGLES), axis=1)]
         steered = np.interp(np.arange(n + 1), fast, best)
-        turned[:, k] = np.convolve(np.pad(steered, 2, mode="edge"), np.ones(5) / 5, mode="valid")
+        turned[:, k] = _smoothed(steered, (1, 1, 1, 1, 1))
     u = np.asarray(law.map(n)(turned[:-1].T, xi.T)[0]).T
     for k, joint in enumerate(vehicle.joints):
         if joint in vehicle.rate_controls.values():
@@ -226,6 +226,12 @@ def _rolling(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
         else:
             turned[1:, k] = np.cumsum(u[:, k] * h)
     return turned, u
+
+
+def _smoothed(values: Array, weights: Sequence[int]) -> Array:
+    """Means of every value (n,) and its two neighbours on either side, with these weights."""
+    kernel = np.array(weights, float) / sum(weights)
+    return np.convolve(np.pad(values, 2, mode="edge"), kernel, mode="valid")
 
 
 def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
@@ -253,8 +259,7 @@ def _joints(vehicle: Vehicle, xi: Array, h: Array) -> tuple[Array, Array]:
         # at rest any value is valid: use the next one that matters
         moving = (xi**2).sum(axis=1) > 1e-4 * (xi**2).sum(axis=1).max()
         chosen = np.interp(np.arange(len(xi)), np.flatnonzero(moving), chosen[moving]) if moving.any() else chosen
-        kernel = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9
-        r[:-1, place] = np.convolve(np.pad(chosen, 2, mode="edge"), kernel, mode="valid")
+        r[:-1, place] = _smoothed(chosen, (1, 2, 3, 2, 1))
         r[-1, place] = r[-2, place]
     u = (np.linalg.pinv(for_rows(moves, r[:-1])[0]) @ xi[:, :, None])[:, b:, 0]
     for place, joint in enumerate(vehicle.joints):
