@@ -2,6 +2,7 @@
 
 import math
 import shutil
+import tomllib
 from pathlib import Path
 
 import casadi as ca
@@ -24,6 +25,17 @@ FLIGHT = [
     (59.4, -0.66), (67.1, -1.88), (77.9, -2.27), (95.8, -4.34),
 ]  # fmt: skip
 """Speed in knots and pitch in degrees in flight tests: Padfield, Helicopter Flight Dynamics (1996), Fig. 4.6(a)."""
+POWER = [
+    (4.0, 393), (6.3, 380), (8.2, 345), (11.7, 333), (20.4, 308), (21.7, 283), (26.5, 271), (33.0, 247), (45.9, 217),
+    (58.9, 230), (68.7, 236), (77.9, 265), (99.2, 352),
+]  # fmt: skip
+"""Speed in knots and power in kW in flight tests: the same, Fig. 4.11."""
+MATRICES = [
+    (0, 0.0392, 0.4445), (20, 0.0343, 0.3763), (40, 0.0223, 0.2856), (60, 0.0036, 0.2558), (80, -0.0204, 0.2705),
+    (100, -0.0484, 0.3198), (120, -0.0794, 0.4027), (140, -0.1160, 0.5336),
+]  # fmt: skip
+"""Padfield's own calculation, from his system matrices, second edition (2007), pages 287 to 291: speed in knots, and
+two elements, cos(roll) tan(pitch), which couples the yaw rate to roll, and -g sin(roll) cos(pitch), m/s^2."""
 KNOT = 0.514444
 
 
@@ -35,7 +47,8 @@ def trimmed(vehicle, speed):
 
 @pytest.fixture(scope="module")
 def bo105():
-    return vehsim.load_vehicle(BO105, {"mass": 2096.0})
+    """Loaded as in Heffley's hover: the centre of mass is 0.018 m behind the hub."""
+    return vehsim.load_vehicle(BO105, {"mass": 2096.0, "hub_ahead": 0.018, "d_r": 5.99})
 
 
 def shaft_power(vehicle, speed, climb=0.0):
@@ -56,16 +69,66 @@ def test_hover_attitude_is_the_published_one(bo105):
     assert np.degrees(found.roll) == pytest.approx(HOVER["roll"], rel=0.05)
 
 
+def test_pitch_and_roll_against_speed_are_those_that_padfield_calculates():
+    """With his numbers, so without drag of the hub. In pitch 2 % of its change up to 100 knots, 8 % at 140. Roll is 11
+    to 15 % larger at every speed, because his induced velocity has no factor of 1.15."""
+    vehicle = vehsim.load_vehicle(BO105, {"hub_drag": 0.0})
+    speeds, coupling, side = np.array(MATRICES, float).T
+    pitch = np.arctan(coupling)
+    for _ in range(3):
+        roll = -np.arcsin(side / (GRAVITY * np.cos(pitch)))
+        pitch = np.arctan(coupling / np.cos(roll))
+    found = [trimmed(vehicle, float(v) * KNOT) for v in speeds]
+    off = np.abs([f.pitch for f in found] - pitch) / np.ptp(pitch)
+    assert off.max() < 0.08 and off[speeds <= 100].max() < 0.02
+    assert np.array([f.roll for f in found]) / roll == pytest.approx(1.13, abs=0.025)
+    bare = vehsim.load_vehicle(BO105, {"hub_drag": 0.0, "induced_factor": 1.0})
+    assert trimmed(bare, 0.0).roll == pytest.approx(roll[0], rel=0.02)
+
+
+def test_the_centre_of_mass_is_where_padfields_hover_has_it():
+    """More collective in hover pushes along the rotor's axis: its moment over its force is the place of the hub."""
+    x, z, m = 3.6533 * 2200, 92.9573 * 2200, -5.6815 * 4973  # N and N m (nose up) per rad of collective
+    hub_ahead = (m + 1.48 * x) / z
+    assert hub_ahead == pytest.approx(-0.0163 * 4.91, abs=1e-4)
+    numbers = tomllib.loads((BO105 / "vehicle.toml").read_text())["physics"]
+    assert numbers["hub_ahead"] == pytest.approx(hub_ahead, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("knots", "n_v", "l_v", "y_pedal"),
+    [(60, 0.1041, -0.2813, 5.6547), (80, 0.1283, -0.2812, 6.3678), (100, 0.1465, -0.2937, 6.9809),
+     (120, 0.1612, -0.3148, 7.5485), (140, 0.1732, -0.3455, 8.1049)],
+)  # fmt: skip
+def test_the_fuselage_turns_as_padfields_matrices_say(knots, n_v, l_v, y_pedal):
+    """His yaw moment per sideways speed, less those of tail rotor and fin. A tail rotor's thrust per speed along its
+    axis over that per blade angle is 1/2 over 1/3 + mu^2 / 2, per tip speed (blade elements)."""
+    numbers = tomllib.loads((BO105 / "vehicle.toml").read_text())["physics"]
+    speed, tip = knots * KNOT, numbers["tail_radius"] * numbers["tail_rotor_speed"]
+    tail = numbers["d_r"] * 2200 * y_pedal / tip * 0.5 / (1 / 3 + (speed / tip) ** 2 / 2)
+    fin = numbers["fin_behind"] * AIR / 2 * numbers["fin_area"] * speed
+    fuselage = 4099 * n_v - 660 * l_v - tail - fin
+    assert numbers["fuselage_moments"][2] == pytest.approx(fuselage / (AIR / 2 * speed), rel=0.15)
+
+
 def test_pitch_against_speed_follows_flight_tests():
-    """Of its change from hover to cruise, 23 % off at worst, in transition, and 19 % in cruise, where four points of
-    five are within 12 %: see docs/derivations.md."""
+    """Of its change from hover to cruise, 20 % off at worst; Padfield's own calculation is off by 25 %: see
+    docs/derivations.md."""
     vehicle = vehsim.load_vehicle(BO105)
     speeds, measured = np.array(FLIGHT).T
     pitch = np.degrees([trimmed(vehicle, float(v) * KNOT).pitch for v in speeds])
     off = np.abs(pitch - measured) / np.ptp(measured)
-    assert off.max() < 0.24 and off.mean() < 0.105
-    cruise = np.sort(off[speeds > 45])
-    assert cruise[-1] < 0.19 and cruise[-2] < 0.12
+    assert off.max() < 0.20 and off.mean() < 0.115
+    assert (np.sort(off[speeds > 45]) < [0.09, 0.09, 0.105, 0.145, 0.175]).all()
+
+
+def test_power_against_speed_follows_flight_tests_below_cruise():
+    """Without losses in gears. From 60 knots on, flight tests need 13 to 26 % more: see docs/derivations.md."""
+    vehicle = vehsim.load_vehicle(BO105)
+    speeds, measured = np.array(POWER, float).T
+    off = np.array([shaft_power(vehicle, float(v) * KNOT) for v in speeds]) / 1e3 / measured - 1
+    assert np.abs(off[speeds < 50]).max() < 0.09 and np.abs(off[speeds < 70]).max() < 0.145
+    assert off.min() > -0.26
 
 
 def test_power_has_its_bucket(bo105):
@@ -92,7 +155,7 @@ def test_the_power_of_the_fastest_cruise_climbs_as_published(loaded):
 
 
 def test_hub_drag_is_what_the_published_climb_asks_for():
-    """Without it, the power of the fastest cruise climbs 16 % too slowly."""
+    """Without it, the power of the fastest cruise climbs 18 % too slowly."""
     bare = vehsim.load_vehicle(BO105, {"mass": 2400.0, "hub_drag": 0.0})
     assert shaft_power(bare, 60 * KNOT, 0.85 * 440 / 60) > shaft_power(bare, 240 / 3.6)
 
@@ -117,7 +180,9 @@ def test_drag_of_the_hub_acts_at_the_hub():
     more = ca.Function("more", [air], [with_hub.drag(air) - without.drag(air)])
     force = AIR / 2 * 0.5 * 50.0**2
     assert np.ravel(more([0, 0, 0, 50, 0, 0])) == pytest.approx([0, -force * 1.48, 0, -force, 0, 0], rel=1e-6)
-    assert np.ravel(more([0, 0, 0, 0, -50, 0])) == pytest.approx([-force * 1.48, 0, 0, 0, force, 0], rel=1e-6)
+    assert np.ravel(more([0, 0, 0, 0, -50, 0])) == pytest.approx(
+        [-force * 1.48, 0, -force * 0.08, 0, force, 0], rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("across", [0.0, 5.0, 10.0, 30.0, 60.0])
