@@ -21,7 +21,7 @@ from vehsim.planning.request.marks import Gate, Mark, end_of_hold, shape
 from vehsim.planning.terms import KnotView
 from vehsim.planning.trajectory import Trajectory
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.mechanics import conservative_at_rest, project
+from vehsim.vehicles.definition.mechanics import acceleration, conservative_at_rest, project
 
 Array = NDArray[np.float64]
 Expr = Any
@@ -32,19 +32,21 @@ THROUGH = 0.05
 """Least speed through a gate, m/s: a vehicle that comes backwards and turns round in the gate does not pass it."""
 PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "speed": 1, "gate": 11}
 """The quantities a mark can fix besides joints, and their sizes."""
+SPRINGS = "balance on springs"
 
 
 @dataclass(frozen=True, eq=False)
 class MarkConstraint(Block):
     """The constraints of mark ``number`` at its knot, unless it is the end of a hold.
 
-    ``closes``: it ends a loop, and does not repeat what the first mark fixes. ``price``: above zero the mark may be
-    missed at this price per unit, see `elements.elastic`.
+    ``closes``: it ends a loop, and does not repeat what the first mark fixes. ``cut``: the motion begins or ends there.
+    ``price``: above zero the mark may be missed at this price per unit, see `elements.elastic`.
     """
 
     marks: Sequence[Mark]
     number: int
     closes: bool = False
+    cut: bool = False
     price: float = 0.0
 
     @property
@@ -52,7 +54,7 @@ class MarkConstraint(Block):
         return self.marks[self.number]
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        return self.number, shape([self.mark]), self._given, self._known, self.price
+        return self.number, shape([self.mark]), self._given, self._known, self.cut, self.price
 
     @property
     def _known(self) -> tuple[Any, ...]:
@@ -69,7 +71,7 @@ class MarkConstraint(Block):
             return
         # the values of the mark are parameters, so all marks of one shape share the element and its derivatives
         rests = _rests(transcription.vehicle, self.mark)
-        key = "mark", shape([self.mark]), rests, self._known, self.price
+        key = "mark", shape([self.mark]), rests, self._known, self.cut, self.price
         element = transcription.kept(key, lambda: self._element(transcription))
         if element is None:
             return
@@ -83,7 +85,7 @@ class MarkConstraint(Block):
 
     def _element(self, transcription: Transcription) -> Element | None:
         """Its constraints; None if it fixes nothing."""
-        element = mark_element(transcription, self.mark, self.marks[0] if self.closes else None)
+        element = mark_element(transcription, self.mark, self.marks[0] if self.closes else None, cut=self.cut)
         return elastic(element, self.price) if self.price and element is not None else element
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
@@ -100,6 +102,8 @@ class MarkConstraint(Block):
         """The message for rows (n,) of what the mark fixes that elastic mode misses by ``off``."""
         if key == "velocity (balance)":
             return f"{self.mark.name}: the vehicle cannot be in balance there"
+        if key == SPRINGS:
+            return f"{self.mark.name}: the body cannot be in balance on its springs there"
         return f"{self.mark.name}.{key} is missed by {_amount(key, off)}"
 
 
@@ -131,13 +135,17 @@ def mark_values(mark: Mark) -> dict[str, Array]:
 
 
 def mark_element(
-    transcription: Transcription, mark: Mark, known: Mark | None = None, everywhere: bool = False
+    transcription: Transcription,
+    mark: Mark,
+    known: Mark | None = None,
+    everywhere: bool = False,
+    cut: bool = False,
 ) -> Element | None:
     """The constraints of a mark at its knot: (x, c0).
 
     Parameters: those of `Transcription.air`, and the mark's values by key (see `mark_values`). ``known``: a mark whose
     state holds anyway, as in a loop; its constraints are not repeated. ``everywhere``: the relief of the ground is
-    written out, with a hundred times as many operations, and not looked up.
+    written out, with a hundred times as many operations, and not looked up. ``cut``: the motion begins or ends there.
     """
     v = transcription.symbols("x", "c0")
     x, c = v["x"], v["c0"]
@@ -154,6 +162,7 @@ def mark_element(
             "velocity (balance)": _equal(imbalance(transcription, x, c, everywhere)) if balance else [],
             "speed" if mark.velocity is None else "velocity": _motion(transcription, mark, view, x, c, wanted),
             "joints": _joints(mark, view, wanted),
+            SPRINGS: _equal(_bouncing(transcription, x, c, everywhere)) if cut and not mark.at_rest else [],
             "hold": [(c[k], 0.0, 0.0) for _, k in transcription.vehicle.driven] if mark.hold else [],
         }
 
@@ -165,7 +174,7 @@ def mark_element(
         return None
     rows, lower, upper = zip(*(row for rows in fixed.values() for row in rows), strict=True)
     y, given = ca.vertcat(*v.values()), {key: wanted[key] for key in sizes if getattr(mark, key) is not None}
-    space = transcription.space(g) if "velocity (balance)" in labels and not everywhere else None
+    space = transcription.space(g) if {"velocity (balance)", SPRINGS} & {*labels} and not everywhere else None
     return Element(
         "mark", y, {**transcription.air, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels,
         space=space,
@@ -229,6 +238,24 @@ def imbalance(transcription: Transcription, x: Expr, c: Expr, everywhere: bool =
     weight = conservative_at_rest(vehicle, g, r)
     total = [a + b for a, b in zip(forces, weight, strict=True)]
     return project(vehicle, r, *total) / transcription.momentum_scale
+
+
+def _bouncing(transcription: Transcription, x: Expr, c: Expr, everywhere: bool) -> Expr:
+    """Rates and accelerations of a sprung body on its springs, which vanish where it neither bounces nor rocks.
+
+    Where a motion begins or ends at speed, these joints are free: the springs would be wound up there to save effort.
+    """
+    vehicle = transcription.in_air if everywhere else transcription.local_in_air[1]
+    body = [vehicle.joints.index(name) for name in vehicle.attitude or ()]
+    if not body:
+        return ca.SX(0, 1)
+    g, r, pi = transcription.split(x)
+    controls, constant = c * transcription.control_scale, ca.SX.zeros(c.shape[0])
+    z = transcription.mechanics.knot_velocity_guess(r, pi, controls)
+    rates = acceleration(vehicle, g, r, z, controls, constant, transcription.air["wind"])
+    offset = z.shape[0] - len(vehicle.dynamic)
+    of_body = [offset + vehicle.dynamic.index(k) for k in body]
+    return ca.vertcat(*(z[k] for k in of_body), *(rates[k] for k in of_body))
 
 
 def _equal(expression: Expr, slack: float = 0.0) -> list[Row]:
