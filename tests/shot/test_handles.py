@@ -112,3 +112,24 @@ def test_a_stopped_car_settles_on_its_springs_with_its_wheels_at_rest():
         assert np.abs(held.channels[f"travel_{wheel}"]).max() < 0.12
     assert abs(held.channels["pitch"][-1]) < 1e-3 and np.ptp(held.positions[after, :2]) < 20
     assert np.abs(held.matrices()[-1][:3, :3] - np.eye(3)).max() < 2e-3
+
+
+@pytest.mark.parametrize(("asset", "speed"), [("boat", 4.0), ("drift_car", 14.0)])
+def test_what_is_damped_comes_steadily_through_the_handle(asset, speed):
+    """Backwards in time its motion grows: within a second, a boat would spin at 45 rad/s and move at 29 m/s."""
+    marks = [
+        {"frame": frame, "position": list(place), "velocity": [speed, side, 0]}
+        for frame, place, side in ((1001, (0, 0, 0), 0), (1049, (2.2 * speed, 1, 0), 1))
+    ]
+    vehicle = {"name": "it", "asset": asset, "motion": {"method": "plan", "mark": marks}}
+    shot = {"shot": {"schema": 1, "name": "handles", "end_frame": 1049, "handles": 24}, "vehicle": [vehicle]}
+    with pytest.warns(UserWarning, match="through the handle before frame 1001 with the velocity it has there"):
+        clip = Shot.from_dict(shot).solve().clips["it"]
+    k = np.argmin(np.abs(clip.times - 1.0))
+    assert (clip.start_frame, clip.frames[k]) == (977, pytest.approx(1001))
+    assert np.abs(clip.twists[: k + 1] - clip.twists[k]).max() < 1e-9
+    whole = clip.resample()
+    assert np.linalg.norm(np.diff(whole.positions[:25], axis=0), axis=1) == pytest.approx(speed / 24, rel=0.01)
+    for name, values in whole.channels.items():
+        if name.startswith("roll_"):
+            assert np.diff(values[:25]) == pytest.approx(np.diff(values[24:26])[0], rel=0.05), name
