@@ -1,5 +1,7 @@
 """The fourth order in one segment: its order, its symmetry, and what it keeps exactly."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from vehsim import Mark
 from vehsim.integrators.continuous import execute
 from vehsim.lie import SO3, SO3xR3
 from vehsim.planning import solve
+from vehsim.planning.constraints.dynamics import equations as equations_of
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.simpson import _rotation, _unturned, simpson
 from vehsim.planning.problem.solver_cache import SolverCache
@@ -191,3 +194,30 @@ def test_gyroscopic_forces_are_exact_for_rates_quadratic_in_time():
     rates = torque * h / 2 / inertia[:2]
     spin = (inertia[0] - inertia[1]) * rates.prod() * h / 5
     assert end[9] * made.momentum_scale[2] == pytest.approx(spin, rel=1e-3)
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_the_curves_of_a_hull_are_looked_up_without_a_difference(order):
+    """Equations, Jacobians and Hessians are those of the whole curves, with less than half of the instructions."""
+    boat = loaded("boat")
+    law = boat.resistance
+    whole = transcribe(replace(boat, resistance=lambda twist, c: law(twist, c)))
+    looked_up, steps = (equations_of(made, order) for made in (transcribe(boat), whole))
+    rng = np.random.default_rng(1)
+    y, p, weights = rng.normal(size=(looked_up.y.shape[0], 8)), np.tile(WIND[:, None], 8), rng.normal(size=(9, 8))
+    y[:-1] *= 5.0
+    for name in ("value", "jacobian"):
+        made, expected = (getattr(element, name).map(8)(y, p)[1] for element in (looked_up, steps))
+        np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-10)
+    bent, expected = (element.hessian[0].map(8)(y, p, np.ones((1, 8)), weights) for element in (looked_up, steps))
+    np.testing.assert_allclose(bent, expected, rtol=1e-9, atol=1e-10)
+    assert looked_up.value.n_instructions() < 0.5 * steps.value.n_instructions()
+
+
+def test_controls_are_executed_with_curves_that_are_looked_up():
+    boat = loaded("boat")
+    law = boat.resistance
+    whole = replace(boat, resistance=lambda twist, c: law(twist, c))
+    controls = np.column_stack([np.linspace(4500.0, -1000.0, 9), np.linspace(-0.4, 0.5, 9)])
+    given = (np.zeros(3), np.zeros(0), np.array([0.1, 3.0, 0.0]), controls, np.full(8, 0.5), WIND)
+    np.testing.assert_allclose(execute(boat, *given)[0], execute(whole, *given)[0], rtol=1e-12)

@@ -12,7 +12,7 @@ import vehsim
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import from_vectors
 from vehsim.vehicles import State
-from vehsim.vehicles.definition.resistance import ALLOWANCE, VISCOSITY, Planing, SpeedSpline, ittc57, running
+from vehsim.vehicles.definition.resistance import ALLOWANCE, VISCOSITY, Curves, Planing, SpeedSpline, ittc57, running
 from vehsim.vehicles.library.hull_form import particulars
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.water.hull_mesh import HullMesh, wetted
@@ -98,7 +98,7 @@ def test_the_friction_line_of_ittc_1957():
 def test_a_curve_is_one_function_for_numbers_and_plans():
     run = BOAT.hull.running
     u = ca.SX.sym("u")
-    law = ca.Function("rate", [u], [run.rate.symbolic(u)])
+    law = ca.Function("rate", [u], Curves([run.rate]).at(u))
     for speed in (-3.0, 0.5, 4.9, 10.0, 17.3, 60.0):
         assert float(law(speed)) == pytest.approx(run.rate(speed), rel=1e-4)
     speeds = np.linspace(0.5, 18, 400)
@@ -223,10 +223,23 @@ def test_a_curve_has_the_derivatives_of_a_natural_cubic_spline():
     curve = BOAT.hull.running.rate
     spline = CubicSpline(curve.knots, [curve(speed) for speed in curve.knots], bc_type="natural")
     u = ca.SX.sym("u")
-    value = curve.symbolic(u)
+    (value,) = Curves([curve]).at(u)
     bend, slope = ca.hessian(value, u)
     law = ca.Function("rate", [u], [value, slope, bend])
     for speed in (0.7, 4.9, 10.0, 17.3, curve.knots[9] + 1e-9, curve.knots[9] - 1e-9):
         x = np.hypot(speed, 1e-3)
         for order, made in enumerate(map(float, law(speed))):
             assert made == pytest.approx(float(spline(x, order)), rel=1e-4)
+
+
+def test_curves_are_looked_up_piece_by_piece():
+    """At, between and beyond the knots, and at both signs; the same as everywhere at once."""
+    curves = BOAT.hull.running.curves(350.0)
+    speeds = np.array([0.0, 0.3, curves.splines[0].knots[3], -7.7, 13.0, 90.0])
+    pieces = curves.look_up(len(speeds))(speeds)
+    u, piece = ca.SX.sym("u"), ca.SX.sym("piece", curves.size)
+    within = ca.Function("within", [u, piece], curves.at(u, piece)).map(len(speeds))(speeds[None], pieces)
+    everywhere = ca.Function("everywhere", [u], curves.at(u)).map(len(speeds))(speeds[None])
+    for spline, some, every in zip(curves.splines, within, everywhere, strict=True):
+        np.testing.assert_allclose(some, every, rtol=1e-10)
+        np.testing.assert_allclose(np.ravel(some), [spline(np.hypot(x, 1e-3)) for x in speeds], rtol=1e-9, atol=1e-9)

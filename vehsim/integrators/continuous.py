@@ -15,6 +15,7 @@ from vehsim.integrators.fast.kernel import Kernel
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.mechanics import acceleration, free_velocity
+from vehsim.vehicles.definition.resistance import in_pieces, looked_up
 
 
 @lru_cache(maxsize=32)
@@ -81,7 +82,10 @@ def execute(
 def _rk4_step(vehicle: Vehicle) -> ca.Function:
     """``(x, c0, c1, h, wind) -> x``: one step of RK4 with ``x = (g, r, z)`` and controls linear in time."""
     law, ground = local_equations(vehicle)
-    kind: Any = ca.SX if ground is None else ca.MX  # in SX, nothing can be looked up
+    kind: Any = ca.SX if ground is None else ca.MX  # in SX, a relief cannot be looked up
+    pieces, within = in_pieces(vehicle)
+    if pieces.numel():
+        law = _equations(within, [pieces])
     sizes = [law.size1_in(i) for i in range(4)]
     x, c0, c1 = (kind.sym("x", n) for n in (sum(sizes[:3]), sizes[3], sizes[3]))
     h, wind = kind.sym("h"), kind.sym("wind", 3)
@@ -93,6 +97,9 @@ def _rk4_step(vehicle: Vehicle) -> ca.Function:
     def slope(x: Any, c: Any) -> Any:
         state = ca.vertsplit(x, cuts)
         more = [] if ground is None else [cells(place(state[0]))]
+        if pieces.numel():
+            speeds, table = looked_up(vehicle, [(state[0], state[2])])
+            more = [ca.vec(table(speeds))]
         return h * ca.vertcat(*law(*state, c, rate, wind, *more))
 
     k1 = slope(x, c0)

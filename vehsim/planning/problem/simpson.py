@@ -44,18 +44,18 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
     h, step = v["h"], v["c1"] - v["c0"]
     a, middle, b = ((v["c0"] + s * step) * t.control_scale for s in (0.0, 0.5, 1.0))
     laws, ground = _laws(t), t.ground
-    cells = ca.SX.sym("cells", laws.size1_in("cell"), 3)
+    cells, pieces = (ca.SX.sym(name + "s", laws.size1_in(name), 3) for name in ("cell", "piece"))
 
     u, xi = m.knot_velocity(r, pi, a)
     u1, xi1 = m.knot_velocity(r1, pi1, b)
-    g_dot, _, push, turned = laws(g, r, u, xi, a, wind, cells[:, 0] - depth)
-    g1_dot, _, push1, turned1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth)
+    g_dot, _, push, turned = laws(g, r, u, xi, a, wind, cells[:, 0] - depth, pieces[:, 0])
+    g1_dot, _, push1, turned1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth, pieces[:, 1])
     gm, rm = (g + g1) / 2 + h / 8 * (g_dot - g1_dot), (r + r1) / 2 + h / 8 * (u - u1)
     pose = ca.SX.sym("pose", gm.shape[0] + rm.shape[0])
     g_, r_ = ca.vertsplit(pose, [0, gm.shape[0], pose.shape[0]])
     um, xim = free_velocity(t.vehicle, r_, v["z"], m.driven(middle))
     between = (pi + pi1) / 2 + h / 8 * (push - push1)
-    gm_dot, pim, pushm, _ = laws(g_, r_, um, xim, middle, wind, cells[:, 2] - depth)
+    gm_dot, pim, pushm, _ = laws(g_, r_, um, xim, middle, wind, cells[:, 2] - depth, pieces[:, 2])
 
     next_g, next_r = (
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
@@ -90,6 +90,7 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
         space=space,
         inner=[*inner, *velocity, *rest],
         lacked=z,
+        looked_up=t.looked_up(pieces, (g, xi), (g1, xi1), (g_, xim)),
     )
     n = v["x"].shape[0]
     if not reduced and element.value.n_instructions() <= CHEAP * t.sizes[2]:
@@ -138,11 +139,11 @@ def _on_group(vehicle: Vehicle, r: Expr, force: Expr) -> Expr:
 
 
 def _laws(t: Transcription) -> ca.Function:
-    """``(g, r, u, xi, c, wind, cell) -> (g_dot, pi, pi_dot, turned)``: the rate of the group's coordinates, the
-    restricted momentum with its rate, and the gyroscopic part of that; ``cell`` as in `Transcription.local`."""
+    """``(g, r, u, xi, c, wind, cell, piece) -> (g_dot, pi, pi_dot, turned)``: the rate of the group's coordinates, the
+    restricted momentum with its rate, and the gyroscopic part of that; ``cell, piece`` as in `Transcription.within`."""
     m = t.mechanics
     g, r, c, wind = (m.symbols[name] for name in ("g", "r", "c0", "wind"))
-    cell, vehicle = t.local
+    cell, piece, vehicle = t.within
     group = vehicle.group
     u, xi = ca.SX.sym("u", r.shape[0]), ca.SX.sym("xi", group.dim)
     p, mu = momentum(vehicle, r, u, xi)
@@ -159,7 +160,7 @@ def _laws(t: Transcription) -> ca.Function:
     g_dot = ca.substitute(flow, s, 0)
     pi_dot = project(vehicle, r, on_joints, on_group) + turning
     results = [ca.densify(x) for x in (g_dot, project(vehicle, r, p, mu), pi_dot, _on_group(vehicle, r, turned))]
-    names = ["g", "r", "u", "xi", "c", "wind", "cell"]
+    names = ["g", "r", "u", "xi", "c", "wind", "cell", "piece"]
     return ca.Function(
-        "laws", [g, r, u, xi, c, wind, cell], ca.cse(results), names, ["g_dot", "pi", "pi_dot", "turned"]
+        "laws", [g, r, u, xi, c, wind, cell, piece], ca.cse(results), names, ["g_dot", "pi", "pi_dot", "turned"]
     )

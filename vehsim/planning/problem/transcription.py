@@ -21,6 +21,7 @@ from vehsim.integrators.discrete import mechanics_of
 from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.planning.problem.elements import Element, SpatialField
 from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.resistance import in_pieces, looked_up
 from vehsim.world.ground.below import Below
 from vehsim.world.ground.slope import Weight
 
@@ -63,6 +64,8 @@ class Transcription:
     @cached_property
     def idle(self) -> list[int]:
         """Joints that influence neither the motion nor a limit, such as a wheel's roll."""
+        if not self.vehicle.joints:
+            return []
         law, _ = local_equations(self.vehicle)  # executes controls anyway, so that it costs nothing
         moving = {joint for rate in (0, 2) for joint in law.jac_sparsity(rate, 1).get_triplet()[1]}
         named = enumerate(self.vehicle.joints)
@@ -78,17 +81,19 @@ class Transcription:
         g, r, pi = self.split(v["x"])
         g1, r1, pi1 = self.split(v["x1"])
         given = (g, r, v["z"], v["c0"] * self.control_scale, v["c1"] * self.control_scale, v["h"], wind)
-        segment, ground = self.segment, self.ground
-        cells = ca.SX.sym("cells", segment.size_in("cell")[0], 2)
-        left, _, next_g, next_r = segment(*given, cells[:, 0] - depth)
-        _, right, _, _ = segment(*given, cells[:, 1] - depth)
+        segment, ground = self._segment(*self.within), self.ground
+        cells, piece = ca.SX.sym("cells", segment.size1_in("cell"), 2), ca.SX.sym("piece", segment.size1_in("piece"))
+        left, _, next_g, next_r = segment(*given, cells[:, 0] - depth, piece)
+        _, right, _, _ = segment(*given, cells[:, 1] - depth, piece)
         residuals = ((left - pi) / self.momentum_scale, (right - pi1) / self.momentum_scale, next_g - g1, next_r - r1)
         space = None
         if ground is not None:
             places = ca.horzcat(ground.place(g), ground.place(next_g))
             models = ca.vertcat(ca.SX.sym("places", 2, 2), cells)
             space = SpatialField(places, models, lambda count, order: ground.cells(count))
-        return Element("dynamics", ca.vertcat(*v.values()), self.air, g=ca.vertcat(*residuals), space=space)
+        looked_up = self.looked_up(piece, (g, v["z"]))  # a segment has one velocity
+        y, rows = ca.vertcat(*v.values()), ca.vertcat(*residuals)
+        return Element("dynamics", y, self.air, g=rows, space=space, looked_up=looked_up)
 
     @cached_property
     def _on_relief(self) -> tuple[str, Any]:
@@ -140,6 +145,17 @@ class Transcription:
             return cell, vehicle
         return cell, replace(vehicle, ground=replace(vehicle.ground, depth=self.air["depth"]))  # type: ignore[attr-defined, call-arg]  # a holonomic vehicle has it
 
+    @cached_property
+    def within(self) -> tuple[Any, Any, Vehicle]:
+        """The same as `local`, and between both the symbols of `in_pieces`."""
+        cell, vehicle = self.local
+        return cell, *in_pieces(vehicle)
+
+    def looked_up(self, pieces: Any, *motions: tuple[Any, Any]) -> tuple[Any, Any, ca.Function] | None:
+        """`Element.looked_up` of ``pieces`` (n, k), symbols as of `within` for each of k ``motions``: pairs of a pose
+        and a velocity."""
+        return (ca.vec(pieces), *looked_up(self.vehicle, motions)) if pieces.numel() else None
+
     def space(self, g: Any) -> SpatialField | None:
         """The relief below the pose ``g`` in the symbols of `local`, for an element; None without one."""
         ground = self.ground
@@ -156,26 +172,24 @@ class Transcription:
         poses, place = ca.MX.sym("poses", self.sizes[0], count), ca.Function("place", [g], [ground.place(g)])
         return ca.Function("cells", [poses], [ground.cells(count)(place.map(count)(poses))])
 
-    @property
-    def segment(self) -> ca.Function:
-        """``(g, r, z, c0, c1, h, wind, cell) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment`; ``cell``: see
-        `local`."""
-        cell, vehicle = self.local
+    def _segment(self, cell: Any, piece: Any, vehicle: Vehicle) -> ca.Function:
+        """``(g, r, z, c0, c1, h, wind, cell, piece) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment` of a
+        vehicle in these symbols; see `within`."""
         step = mechanics_of(vehicle, DEFAULT_MAP, "galerkin")
-        names = ("g", "r", "z", "c0", "c1", "h", "wind")
-        inputs, results = [step.symbols[name] for name in names], ("left", "right", "g1", "r1")
-        return ca.Function(
-            "segment", [*inputs, cell], [step.segment[name] for name in results], [*names, "cell"], list(results)
-        )
+        given = {name: step.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind")}
+        given |= {"cell": cell, "piece": piece}
+        results = {name: step.segment[name] for name in ("left", "right", "g1", "r1")}
+        return ca.Function("segment", [*given.values()], [*results.values()], [*given], [*results])
 
     @cached_property
     def newton(self) -> tuple[ca.Function, ca.Function]:
         """Of ``(z, g, r, pi, c0, c1, h, wind, cell)``: the velocity ``z`` of a segment after a step of Newton's method,
         and ``(g1, r1, pi1)`` at its end; ``cell`` as in `local`."""
-        segment = self.segment
-        g, r, z, c0, c1, h, wind, cell = (ca.SX.sym(name, *segment.size_in(name)) for name in segment.name_in())
+        local, vehicle = self.local
+        segment = self._segment(local, ca.SX(0, 1), vehicle)
+        g, r, z, c0, c1, h, wind, cell, _ = (ca.SX.sym(name, *segment.size_in(name)) for name in segment.name_in())
         pi = ca.SX.sym("pi", z.shape[0])
-        left, right, g1, r1 = segment(g, r, z, c0, c1, h, wind, cell)
+        left, right, g1, r1 = segment(g, r, z, c0, c1, h, wind, cell, ca.SX(0, 1))
         missing = left - pi
         slope = ca.jacobian(missing, z)
         better = z - (ca.solve(slope, missing) if z.shape[0] else missing)

@@ -110,7 +110,9 @@ class Holonomic(Vehicle):
         if self.rotors is not None:
             body[:3] += law(self, "rotors", 3, self.rotors, air, c, height)
         if self.resistance is not None:
-            body += law(self, "resistance", d, self.resistance, through, c)
+            pieces = getattr(self.resistance, "pieces", None)  # symbols, of a part of its curves
+            given = (through, c) if pieces is None else (through, c, pieces)
+            body += law(self, "resistance", d, self.resistance, *given)
         return ca.SX(0, 1), group.wrench_from_body(g, body)
 
     def potential(self, g: Expr, r: Expr) -> Expr:

@@ -7,8 +7,9 @@ The same curve resists in simulation (`vehsim.world.water.running`) and in plans
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -34,6 +35,11 @@ RISE = 3
 def ittc57(reynolds: Any) -> Any:
     """The friction coefficient of ITTC 1957; constant below a Reynolds number of 10^5."""
     return 0.075 / (np.log10(np.maximum(reynolds, 1e5)) - 2) ** 2
+
+
+NOTHING = 1e-300
+"""CasADi takes the derivative of a call as NaN if the call depends on none of its arguments; so much of the argument is
+added."""
 
 
 @dataclass(frozen=True)
@@ -142,23 +148,16 @@ class Running:
         """Resistance over speed, N s/m."""
         return SpeedSpline.through(self.speeds, self.resistance / np.maximum(self.speeds, 1e-9))
 
-    @property
-    def planes(self) -> SpeedSpline:
-        """The share of its way from rest to planing."""
-        return SpeedSpline.through(self.speeds, np.zeros(len(self.speeds)) if self.share is None else self.share)
-
-    @property
-    def dry(self) -> SpeedSpline:
-        """The share of what it displaces at rest by which it has risen out of the water."""
-        immersion = np.ones(len(self.speeds)) if self.immersion is None else self.immersion
-        return SpeedSpline.through(self.speeds, 1 - immersion)
-
-    def lifted(self, slope: float) -> SpeedSpline:
-        """``slope`` times the speed of a hull that does not plane yet; constant where it planes, as its bottom then
-        carries the same weight at every speed."""
-        share = np.zeros(len(self.speeds)) if self.share is None else self.share
-        slowest = np.interp(1.0 - 1e-9, share, self.speeds)
-        return SpeedSpline.through(self.speeds, slope * np.minimum(self.speeds, slowest))
+    def curves(self, slope: float) -> Curves:
+        """What resists, as curves: the ``rate``; the share of its way from rest to planing; the share of what it
+        displaces at rest by which it has risen out of the water; and ``slope`` times the speed of a hull that does not
+        plane yet, constant where it planes, as its bottom then carries the same weight at every speed."""
+        flat = np.zeros(len(self.speeds))
+        share = flat if self.share is None else self.share
+        dry = flat if self.immersion is None else 1 - self.immersion
+        slowest = np.interp(1.0 - 1e-9, share, self.speeds) if share.any() else math.inf
+        others = (share, dry, slope * np.minimum(self.speeds, slowest))
+        return Curves([self.rate, *(SpeedSpline.through(self.speeds, values) for values in others)])
 
 
 def running(mass: float, length: float, area: float, planing: Planing | None, form: float = 0.0) -> Running:
@@ -184,8 +183,8 @@ def running(mass: float, length: float, area: float, planing: Planing | None, fo
 
 @dataclass(frozen=True)
 class SpeedSpline:
-    """A natural cubic spline of a speed of either sign, for numbers and CasADi: ``value + slope x + sum(bends max(x -
-    knots, 0)^3)`` with ``x`` the size of the speed. Linear beyond its last knot."""
+    """A natural cubic spline of a speed of either sign: ``value + slope x + sum(bends max(x - knots, 0)^3)`` with ``x``
+    the magnitude of the speed. Linear beyond its last knot. `Curves` makes expressions of it."""
 
     value: float
     slope: float
@@ -210,22 +209,93 @@ class SpeedSpline:
         above = np.maximum(x - np.array(self.knots), 0.0)
         return float(self.value + self.slope * x + above**3 @ np.array(self.bends))
 
-    def symbolic(self, speed: Expr) -> Expr:
-        """The same as an expression, smooth at zero.
-
-        A cubic from the last knot passed, whose coefficients are sums of steps: these have no derivatives, so that
-        those of the spline take few operations.
-        """
-        x = ca.sqrt(speed**2 + 1e-6)
-        if not self.knots:
-            return self.value + self.slope * x
-        passed = [x >= knot for knot in self.knots[1:]]
+    @property
+    def pieces(self) -> Array:
+        """The cubics (4, n) from every knot on: their coefficients in the distance from the knot."""
         past = np.tril(np.subtract.outer(self.knots, self.knots))
         value = self.value + self.slope * np.array(self.knots) + past**3 @ self.bends
-        bends = np.tril(np.ones_like(past)) @ self.bends
-        knot, a, b, c, d = (
-            steps[0] + sum(float(rise) * over for rise, over in zip(np.diff(steps), passed, strict=True))
-            for steps in (self.knots, value, self.slope + 3 * past**2 @ self.bends, 3 * past @ self.bends, bends)
-        )
-        dx = x - knot
-        return a + dx * (b + dx * (c + dx * d))
+        slope = self.slope + 3 * past**2 @ self.bends
+        return np.array([value, slope, 3 * past @ self.bends, np.tril(np.ones_like(past)) @ self.bends])
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Splines over the same knots, as expressions. A piece is the last knot passed, and the cubics from there on."""
+
+    splines: Sequence[SpeedSpline]
+
+    @cached_property
+    def _pieces(self) -> Array:
+        """All pieces (size, n)."""
+        return np.vstack([self.splines[0].knots, *(spline.pieces for spline in self.splines)])
+
+    @property
+    def size(self) -> int:
+        """Size of a piece."""
+        return 1 + 4 * len(self.splines)
+
+    def at(self, speed: Expr, piece: Expr | None = None) -> list[Expr]:
+        """Their values at a ``speed``, smooth at zero: within a ``piece`` (size,), or everywhere, which costs much
+        more.
+
+        Everywhere, the numbers of the piece are sums of steps: these have no derivatives, so that those of the splines
+        take few operations.
+        """
+        x = _magnitude(speed)
+        if piece is None:
+            steps = ca.vertcat(1.0, *(x >= knot for knot in self.splines[0].knots[1:]))
+            piece = ca.DM(np.diff(self._pieces, prepend=0.0)) @ steps
+        knot, *cubics = ca.vertsplit(piece, [0, *range(1, self.size + 1, 4)])
+        return [_cubic(x - knot, cubic) for cubic in cubics]
+
+    def look_up(self, count: int) -> ca.Function:
+        """A ``Function``, speeds (count,) -> the pieces there (size, count), which do not change within a piece."""
+        speeds, ends = ca.MX.sym("speeds", count), [*self.splines[0].knots, math.inf]
+        found = ca.MX(ca.DM(self._pieces))[:, ca.low(ca.DM(ends), _magnitude(speeds), {"lookup_mode": "binary"})]
+        found += NOTHING * ca.repmat(speeds.T, self.size, 1)
+        return ca.Function("pieces", [speeds], [found], {"never_inline": True})
+
+
+@dataclass(frozen=True, eq=False)
+class ByCurves:
+    """A ``law`` of a body's twist and controls that reads ``curves`` at ``speeds(twist)`` (k,).
+
+    With ``pieces``, symbols (size, k) of the pieces there, it holds within them, and costs a third.
+    """
+
+    law: Callable[..., Expr]
+    curves: Curves
+    speeds: Callable[[Expr], Expr]
+    pieces: Expr | None = None
+
+    def __call__(self, twist: Expr, c: Expr, pieces: Expr | None = None) -> Expr:
+        return self.law(twist, c, pieces)
+
+
+def in_pieces(vehicle: Any) -> tuple[Expr, Any]:
+    """Symbols (n,) of the pieces of the curves that a vehicle's resistance reads, and the vehicle within these pieces;
+    without curves no symbols, and the vehicle itself."""
+    law = getattr(vehicle, "resistance", None)
+    if not isinstance(law, ByCurves):
+        return ca.SX.sym("piece", 0), vehicle
+    count = law.speeds(ca.SX.zeros(vehicle.group.dim)).shape[0]
+    pieces = ca.SX.sym("piece", law.curves.size, count)
+    return ca.vec(pieces), replace(vehicle, resistance=replace(law, pieces=pieces))
+
+
+def looked_up(vehicle: Any, motions: Sequence[tuple[Expr, Expr]]) -> tuple[Expr, ca.Function]:
+    """Speeds at ``motions``, pairs of a pose and a velocity of the group, and a `Function` of them that gives the
+    pieces there; both as of `in_pieces`, in columns."""
+    law = vehicle.resistance
+    speeds = ca.vertcat(*(law.speeds(vehicle.group.velocity_to_body(*motion)) for motion in motions))
+    return speeds, law.curves.look_up(speeds.shape[0])
+
+
+def _magnitude(speed: Any) -> Any:
+    """The magnitude of speeds, smooth at zero."""
+    return ca.sqrt(speed**2 + 1e-6)
+
+
+def _cubic(x: Expr, coefficients: Expr) -> Expr:
+    a, b, c, d = ca.vertsplit(coefficients)
+    return a + x * (b + x * (c + x * d))

@@ -40,7 +40,7 @@ from vehsim.vehicles.definition.quantities import (
     With,
     Without,
 )
-from vehsim.vehicles.definition.resistance import Planing, Running, SpeedSpline, running
+from vehsim.vehicles.definition.resistance import ByCurves, Planing, Running, running
 
 ANSWER = 0.5
 """Response time of a motor and its steering, s. Plans weigh the rate of the controls with its square, so that no plan
@@ -152,29 +152,35 @@ def boat(
         return ca.vertcat(ca.cross(at, force), force)
 
     run = _running(name, mass, places, wetted_length, wetted_area, form_factor, chine_beam, deadrise, transom)
-    rate = SpeedSpline.constant(0.0) if run is None else run.rate
-    planes = SpeedSpline.constant(0.0) if run is None or not running_radius else run.planes
-    lifted, dry = (None, None) if run is None or run.trim is None else (run.lifted(impact_drag[1]), run.dry)
+    curves = None if run is None else run.curves(impact_drag[1])
     a = [*map(float, added_mass)]
 
-    def resistance(twist: Expr) -> Expr:
+    def moving(twist: Expr) -> Expr:
+        """Speeds through the water: ahead, and that of the hull's patches."""
+        return ca.vertcat(twist[1], ca.sqrt(twist[1] ** 2 + twist[2] ** 2 + (wetted_radius * twist[0]) ** 2 + 1e-6))
+
+    def resistance(twist: Expr, pieces: Expr | None = None) -> Expr:
         """`Hull`'s resistance for the upright hull; in a rotation about Z, patches move sideways in proportion to their
         distance."""
-        speed = ca.sqrt(twist[1] ** 2 + twist[2] ** 2 + (wetted_radius * twist[0]) ** 2 + 1e-6)
-        ahead = damping[0] + speed * (damping_quadratic[0] + impact_drag[0])
-        pressed = speed * impact_drag[1] if lifted is None else lifted.symbolic(speed)
+        speeds: Any = moving(twist)
+        ahead, speed = speeds[0], speeds[1]
+        rate, share, dry, pressed = 0.0, 0.0, 0.0, speed * impact_drag[1]
+        if curves is not None:
+            at = [None, None] if pieces is None else ca.horzsplit(pieces)
+            rate, share, dry, _ = curves.at(ahead, at[0])
+            *_, pressed = curves.at(speed, at[1])
+        if not running_radius:
+            share = 0.0
+        along = damping[0] + speed * (damping_quadratic[0] + impact_drag[0]) + rate
         across = damping[1] + speed * damping_quadratic[1] + pressed
-        share = planes.symbolic(twist[1])
         middle = wetted_centre + share * (running_centre - wetted_centre)
         spread = wetted_radius**2 + share * (running_radius**2 - wetted_radius**2)
         force = ca.vertcat(
             -across * (middle * twist[2] + spread * twist[0]),
-            -(ahead + rate.symbolic(twist[1])) * twist[1],
+            -along * twist[1],
             -across * (twist[2] + middle * twist[0]),
         )
-        if dry is not None:
-            force -= dry.symbolic(twist[1]) * _turned(a, twist)
-        return force
+        return force - dry * _turned(a, twist)
 
     hull = Hull(
         damping=damping,
@@ -196,13 +202,13 @@ def boat(
     common: dict[str, Any] = {"name": name, "controls": controls, "channels": channels, "feels_wind": any(wind_area)}
     common["default_costs"] = {"smoothness": ANSWER**2}
 
-    def on_calm_water(twist: Expr, c: Expr) -> Expr:
-        return resistance(twist) + _flat(propulsion(c, _level(twist), ca.SX.ones(len(places))))
+    def on_calm_water(twist: Expr, c: Expr, pieces: Expr | None = None) -> Expr:
+        return resistance(twist, pieces) + _flat(propulsion(c, _level(twist), ca.SX.ones(len(places))))
 
     planar = Holonomic(
         group=SE2,
         inertia=(float(inertia[2]) + a[2], mass + a[3], mass + a[4]),
-        resistance=on_calm_water,
+        resistance=on_calm_water if curves is None else ByCurves(on_calm_water, curves, moving),
         drag=(lambda air: _flat(windage(_level(air)))) if any(wind_area) else None,
         mass=mass,
         **common,
