@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -106,14 +106,18 @@ class Blur:
         return Blur(self.position[rows], self.angle[rows], self.velocity[rows], self.omega[rows], joints)
 
 
-def track_of_clip(clip: Clip) -> Track:
-    """A clip at eighths of a frame, through its own interpolant."""
-    from vehsim.clip.interpolant import spatial
+def track_of_clip(clip: Clip, known: Track | None = None) -> Track:
+    """A clip at eighths of a frame, through its own interpolant; ``known``: its track without channels."""
+    from vehsim.clip.interpolant import channels_at, spatial
     from vehsim.lie.quaternions import matrices
 
     count = int(np.floor(float(clip.times[-1]) * float(clip.fps) * PER_FRAME + 1e-6))
     steps = np.arange(count + 1)
-    at = clip.at(np.minimum(steps / (PER_FRAME * float(clip.fps)), clip.times[-1]))
+    times = np.minimum(steps / (PER_FRAME * float(clip.fps)), clip.times[-1])
+    if known is not None:
+        joints = np.column_stack([np.zeros((len(times), 0)), *known.joints.values()])
+        return replace(known, channels=channels_at(clip, times, joints))
+    at = clip.at(times)
     omegas, velocities = spatial(at)
     names = clip.vehicle.joints
     return Track(

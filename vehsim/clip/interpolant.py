@@ -69,13 +69,13 @@ def interpolate(clip: S, times: Array) -> S:
         joints=joints,
         joint_rates=rates,
         controls=clip.controls[k] + s[:, None] * (clip.controls[k + 1] - clip.controls[k]),
-        channels=_channels(clip, times, joints),
+        channels=channels_at(clip, times, joints),
         energy={name: np.interp(times, clip.times, values) for name, values in clip.energy.items()},
         commands={name: np.interp(times, clip.times, values) for name, values in clip.commands.items()},
     )
 
 
-def _channels(clip: Samples, times: Array, joints: Array) -> dict[str, Array]:
+def channels_at(clip: Samples, times: Array, joints: Array) -> dict[str, Array]:
     """Channels (m,) at ``times``, where the joints are ``joints`` (m, s).
 
     A channel that follows joints is its law at the joints, plus the interpolated difference of its knots from that law;

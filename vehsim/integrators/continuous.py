@@ -15,7 +15,7 @@ from vehsim.integrators.fast.kernel import Kernel
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.mechanics import acceleration, free_velocity
-from vehsim.vehicles.definition.resistance import in_pieces, looked_up
+from vehsim.vehicles.definition.resistance import in_pieces, speeds_of
 
 
 @lru_cache(maxsize=32)
@@ -98,8 +98,7 @@ def _rk4_step(vehicle: Vehicle) -> ca.Function:
         state = ca.vertsplit(x, cuts)
         more = [] if ground is None else [cells(place(state[0]))]
         if pieces.numel():
-            speeds, table = looked_up(vehicle, [(state[0], state[2])])
-            more = [ca.vec(table(speeds))]
+            more = [ca.vec(vehicle.resistance.curves.look_up(speeds_of(vehicle, (state[0], state[2]))))]  # type: ignore[attr-defined]  # a holonomic vehicle has it
         return h * ca.vertcat(*law(*state, c, rate, wind, *more))
 
     k1 = slope(x, c0)

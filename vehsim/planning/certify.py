@@ -19,7 +19,7 @@ NEARS, RECENT = 0.98, 3
 
 def certify(run: Run, iterate: Iterate) -> Iterate:
     """The iterate with the certificate of its clip."""
-    return iterate.certified(measured(run, iterate, iterate.clip))
+    return iterate.told(certificate=measured(run, iterate, iterate.clip))
 
 
 def tighten(iterate: Iterate) -> Iterate:

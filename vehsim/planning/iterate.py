@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,10 +146,12 @@ class Iterate(Trajectory):
         blocks = tuple(timing if isinstance(block, Timing) else block for block in self.blocks)
         return replace(self, blocks=blocks)
 
-    def certified(self, certificate: Certificate) -> Self:
-        """The same iterate with the certificate of its clip, which stays as it was built."""
-        made = replace(self, certificate=certificate)
-        made.__dict__["clip"] = self.clip  # a cached property
+    def told(self, **more: Any) -> Self:
+        """The same motion with ``more`` known about it; its clip and track stay as they were built."""
+        made = replace(self, **more)
+        for name in ("clip", "track"):  # cached properties
+            if name in self.__dict__:
+                made.__dict__[name] = self.__dict__[name]
         return made
 
     def worst(self) -> str:

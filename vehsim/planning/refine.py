@@ -64,7 +64,7 @@ def to_requested_segments(run: Run, iterate: Iterate) -> Iterate:
         iterate, found = _step(run, iterate, requested)
     if iterate.success and iterate.rung < 0 and (refined or iterate.layout.segments < requested):
         iterate, _ = _climb(run, iterate)
-    return replace(iterate, executed=iterate.run_controls())
+    return iterate.told(executed=iterate.run_controls())
 
 
 def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate:
@@ -74,12 +74,12 @@ def refine(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterate
     """
     if iterate.stale or math.isinf(iterate.executed.final):
         iterate = resolve(run, iterate, before)
-        iterate = replace(iterate, executed=iterate.run_controls())
+        iterate = iterate.told(executed=iterate.run_controls())
     climbed = True
     while climbed and ends_elsewhere(iterate) and iterate.rung < len(LADDER) - 1 and not run.deadline.cut:
         iterate, climbed = _climb(run, iterate)
         if climbed:
-            iterate = replace(iterate, executed=iterate.run_controls())
+            iterate = iterate.told(executed=iterate.run_controls())
     return iterate
 
 

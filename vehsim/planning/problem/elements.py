@@ -70,9 +70,9 @@ class Element:
     frozen: tuple[Any, Any] | None = None
     """Symbols in ``f`` and ``g``, and the expressions of ``y`` and the parameters that replace them. Derivatives treat
     them as constants (a stop-gradient)."""
-    looked_up: tuple[Any, Any, ca.Function] | None = None
-    """Symbols in ``f`` and ``g`` that are looked up, an expression of where, and the `Function` of it that gives their
-    values, in place of which steps would take many operations. Derivatives treat them as constants."""
+    looked_up: tuple[Any, Any, Callable[[Any], Any]] | None = None
+    """Symbols in ``f`` and ``g`` that are looked up, an expression of where, and the function of it that calls for
+    their values, in place of which steps would take many operations. Derivatives treat them as constants."""
     inner: Sequence[tuple[Any, Any]] = ()
     """Symbols (m,) in ``g``, and the expressions (m,) of ``y``, the parameters and earlier symbols that they stand for.
     Derivatives follow the chain rule through them, which takes fewer operations where ``m`` is small."""
@@ -180,9 +180,9 @@ class Element:
         if self.looked_up is None:
             results = _inserted(self.inner, results)
         else:
-            symbols, where, table = self.looked_up
+            symbols, where, look_up = self.looked_up
             *results, where = _inserted(self.inner, [*results, where])
-            results = [ca.densify(r) for r in ca.substitute(results, [symbols], [ca.vec(table(where))])]
+            results = [ca.densify(r) for r in ca.substitute(results, [symbols], [ca.vec(look_up(where))])]
         if self.frozen is not None:
             results = [ca.densify(r) for r in ca.cse(ca.substitute(results, [self.frozen[0]], [self.frozen[1]]))]
         return ca.Function(name, [self.y, self.p, *more], results)

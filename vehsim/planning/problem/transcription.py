@@ -21,7 +21,7 @@ from vehsim.integrators.discrete import mechanics_of
 from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.planning.problem.elements import Element, SpatialField
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.resistance import in_pieces, looked_up
+from vehsim.vehicles.definition.resistance import in_pieces, speeds_of
 from vehsim.world.ground.below import Below
 from vehsim.world.ground.slope import Weight
 
@@ -151,10 +151,13 @@ class Transcription:
         cell, vehicle = self.local
         return cell, *in_pieces(vehicle)
 
-    def looked_up(self, pieces: Any, *motions: tuple[Any, Any]) -> tuple[Any, Any, ca.Function] | None:
+    def looked_up(self, pieces: Any, *motions: tuple[Any, Any]) -> tuple[Any, Any, Callable[[Any], Any]] | None:
         """`Element.looked_up` of ``pieces`` (n, k), symbols as of `within` for each of k ``motions``: pairs of a pose
         and a velocity."""
-        return (ca.vec(pieces), *looked_up(self.vehicle, motions)) if pieces.numel() else None
+        if not pieces.numel():
+            return None
+        vehicle: Any = self.vehicle
+        return ca.vec(pieces), speeds_of(vehicle, *motions), vehicle.resistance.curves.look_up
 
     def space(self, g: Any) -> SpatialField | None:
         """The relief below the pose ``g`` in the symbols of `local`, for an element; None without one."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
+from vehsim.lie import SO3
 from vehsim.lie.once import built_once
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.mechanics import law, symbols
@@ -132,14 +133,11 @@ class Holonomic(Vehicle):
         return lost
 
 
-def _rotation(group: Any, g: Expr) -> Expr:
-    from vehsim.lie import SO3
-
-    return SO3.matrix(group.pose(g)[3:7])
-
-
 def _still(group: Any, g: Expr, velocity: Expr) -> Expr:
     """The group's velocity (d,) of a body that drifts with a world velocity (3,) and does not rotate."""
-    linear = _rotation(group, g).T @ velocity
-    turning = 1 if group.planar else 3
-    return group.velocity_from_body(g, ca.vertcat(ca.SX(turning, 1), linear[: group.dim - turning]))
+    if group.planar:  # with half the operations of quaternions
+        c, s = ca.cos(g[0]), ca.sin(g[0])
+        linear = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0])
+        return group.velocity_from_body(g, ca.vertcat(0, linear))
+    linear = SO3.matrix(group.pose(g)[3:7]).T @ velocity
+    return group.velocity_from_body(g, ca.vertcat(ca.SX(3, 1), linear[: group.dim - 3]))

@@ -248,12 +248,19 @@ class Curves:
         knot, *cubics = ca.vertsplit(piece, [0, *range(1, self.size + 1, 4)])
         return [_cubic(x - knot, cubic) for cubic in cubics]
 
-    def look_up(self, count: int) -> ca.Function:
-        """A ``Function``, speeds (count,) -> the pieces there (size, count), which do not change within a piece."""
-        speeds, ends = ca.MX.sym("speeds", count), [*self.splines[0].knots, math.inf]
-        found = ca.MX(ca.DM(self._pieces))[:, ca.low(ca.DM(ends), _magnitude(speeds), {"lookup_mode": "binary"})]
-        found += NOTHING * ca.repmat(speeds.T, self.size, 1)
-        return ca.Function("pieces", [speeds], [found], {"never_inline": True})
+    def look_up(self, speeds: Expr) -> Expr:
+        """The pieces (size, k) at ``speeds`` (k,), by a call; they do not change within a piece."""
+        count = speeds.shape[0]
+        if count not in self._calls:
+            x = ca.MX.sym("x", count)
+            found = ca.MX(ca.DM(self._pieces))[:, ca.low(ca.DM([*self.splines[0].knots, math.inf]), x)]
+            call = ca.Function("pieces", [x], [found + NOTHING * ca.sum1(x)], {"never_inline": True})
+            self._calls[count] = call
+        return self._calls[count](_magnitude(speeds))
+
+    @cached_property
+    def _calls(self) -> dict[int, ca.Function]:
+        return {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,12 +290,9 @@ def in_pieces(vehicle: Any) -> tuple[Expr, Any]:
     return ca.vec(pieces), replace(vehicle, resistance=replace(law, pieces=pieces))
 
 
-def looked_up(vehicle: Any, motions: Sequence[tuple[Expr, Expr]]) -> tuple[Expr, ca.Function]:
-    """Speeds at ``motions``, pairs of a pose and a velocity of the group, and a `Function` of them that gives the
-    pieces there; both as of `in_pieces`, in columns."""
-    law = vehicle.resistance
-    speeds = ca.vertcat(*(law.speeds(vehicle.group.velocity_to_body(*motion)) for motion in motions))
-    return speeds, law.curves.look_up(speeds.shape[0])
+def speeds_of(vehicle: Any, *motions: tuple[Expr, Expr]) -> Expr:
+    """Where the curves of a vehicle's resistance are read at ``motions``: pairs of a pose and a velocity of the group."""
+    return ca.vertcat(*(vehicle.resistance.speeds(vehicle.group.velocity_to_body(*motion)) for motion in motions))
 
 
 def _magnitude(speed: Any) -> Any:
