@@ -79,15 +79,16 @@ _CONTENT = {
     "acceptable_obj_change_tol": 1e-4,
     "acceptable_iter": 15,
 }
+_UNSCALED = {"mumps_scaling": 0, "mumps_permuting_scaling": 0}
+"""No scaling of the linear systems."""
 _NEAR = {
     "tol": 1e-4,
     "constr_viol_tol": MET,
     "dual_inf_tol": 1e3,
     "compl_inf_tol": 1e-3,
-    # no scaling of the linear systems and none by the first derivatives, which take as long as half an iteration
+    # the first derivatives, by which it scales, take as long as half an iteration
     "nlp_scaling_method": "none",
-    "mumps_scaling": 0,
-    "mumps_permuting_scaling": 0,
+    **_UNSCALED,
 }
 _CONVEX = {
     "first_hessian_perturbation": 1e-2,
@@ -101,7 +102,16 @@ _ENDS: dict[End, dict[str, Any]] = {
     "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9},
     # near the earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen
     # and constraints may depend on each other: a boat that is held at rest balances three forces by one thrust
-    "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, "perturb_always_cd": "yes", **_CONVEX, **_CONTENT},
+    # steps are not refined, and their residuals not measured: a poor one costs no more than another iteration
+    "content": {
+        "tol": 1e-8,
+        "constr_viol_tol": 1e-9,
+        "perturb_always_cd": "yes",
+        "fast_step_computation": "yes",
+        **_UNSCALED,
+        **_CONVEX,
+        **_CONTENT,
+    },
     "near": _NEAR,
     "draft": {**_NEAR, "constr_viol_tol": DRAWN, **_CONTENT},
 }
