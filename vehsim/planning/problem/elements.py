@@ -182,7 +182,7 @@ class Element:
         else:
             symbols, where, look_up = self.looked_up
             *results, where = _inserted(self.inner, [*results, where])
-            results = [ca.densify(r) for r in ca.substitute(results, [symbols], [ca.vec(look_up(where))])]
+            results = [ca.densify(r) for r in ca.cse(ca.substitute(results, [symbols], [ca.vec(look_up(where))]))]
         if self.frozen is not None:
             results = [ca.densify(r) for r in ca.cse(ca.substitute(results, [self.frozen[0]], [self.frozen[1]]))]
         return ca.Function(name, [self.y, self.p, *more], results)

@@ -291,7 +291,7 @@ def in_pieces(vehicle: Any) -> tuple[Expr, Any]:
 
 
 def speeds_of(vehicle: Any, *motions: tuple[Expr, Expr]) -> Expr:
-    """Where the curves of a vehicle's resistance are read at ``motions``: pairs of a pose and a velocity of the group."""
+    """Where the curves of a vehicle's resistance are read at ``motions``: pairs of a pose and a group's velocity."""
     return ca.vertcat(*(vehicle.resistance.speeds(vehicle.group.velocity_to_body(*motion)) for motion in motions))
 
 
