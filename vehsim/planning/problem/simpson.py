@@ -9,12 +9,14 @@ what exact conservation costs.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
 from vehsim.lie import SO3
 from vehsim.planning.problem.elements import Element, SpatialField
+from vehsim.vehicles.definition.holonomic import Holonomic
 from vehsim.vehicles.definition.mechanics import conservative, free_velocity, momentum, project, shape_gradient
 
 if TYPE_CHECKING:
@@ -44,18 +46,18 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
     h, step = v["h"], v["c1"] - v["c0"]
     a, middle, b = ((v["c0"] + s * step) * t.control_scale for s in (0.0, 0.5, 1.0))
     laws, ground = _laws(t), t.ground
-    cells, pieces = (ca.SX.sym(name + "s", laws.size1_in(name), 3) for name in ("cell", "piece"))
+    cells, pieces, airs = (ca.SX.sym(name + "s", laws.size1_in(name), 3) for name in ("cell", "piece", "air"))
 
     u, xi = m.knot_velocity(r, pi, a)
     u1, xi1 = m.knot_velocity(r1, pi1, b)
-    g_dot, _, push, turned = laws(g, r, u, xi, a, wind, cells[:, 0] - depth, pieces[:, 0])
-    g1_dot, _, push1, turned1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth, pieces[:, 1])
+    g_dot, _, push, turned = laws(g, r, u, xi, a, wind, cells[:, 0] - depth, pieces[:, 0], airs[:, 0])
+    g1_dot, _, push1, turned1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth, pieces[:, 1], airs[:, 1])
     gm, rm = (g + g1) / 2 + h / 8 * (g_dot - g1_dot), (r + r1) / 2 + h / 8 * (u - u1)
     pose = ca.SX.sym("pose", gm.shape[0] + rm.shape[0])
     g_, r_ = ca.vertsplit(pose, [0, gm.shape[0], pose.shape[0]])
     um, xim = free_velocity(t.vehicle, r_, v["z"], m.driven(middle))
     between = (pi + pi1) / 2 + h / 8 * (push - push1)
-    gm_dot, pim, pushm, _ = laws(g_, r_, um, xim, middle, wind, cells[:, 2] - depth, pieces[:, 2])
+    gm_dot, pim, pushm, _ = laws(g_, r_, um, xim, middle, wind, cells[:, 2] - depth, pieces[:, 2], airs[:, 2])
 
     next_g, next_r = (
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
@@ -71,7 +73,9 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
         rest += [(bend, pi - 2 * pim + pi1 - h / 4 * (turned1 - turned))]
         missed[0:4] = _unturned(g[0:4] - g1[0:4], mean, turn)
         gained -= h / 30 * _gyroscopic(t, r_, bend)
+    inner += _blowing(t, airs[:, :2], (g, xi), (g1, xi1))
     inner.append((pose, ca.vertcat(gm, rm)))
+    inner += _blowing(t, airs[:, 2], (g_, xim))
     velocity = [(v["z"], m.knot_velocity_guess(r_, between, middle))] if reduced else []
     at_end = (pi1 - pi - gained) / t.momentum_scale
     residuals = [] if reduced else [(pim - between) / t.momentum_scale]
@@ -138,13 +142,26 @@ def _on_group(vehicle: Vehicle, r: Expr, force: Expr) -> Expr:
     return project(vehicle, r, ca.SX.zeros(r.shape[0]), force)
 
 
+def _blowing(t: Transcription, airs: Expr, *motions: tuple[Expr, Expr]) -> list[tuple[Expr, Expr]]:
+    """``airs`` (n, k), velocities through the air, with their expressions at k ``motions``: pairs of a pose and a
+    velocity."""
+    n, vehicle = airs.shape[0], t.vehicle
+    if not n or not isinstance(vehicle, Holonomic):
+        return []
+    wind = t.air["wind"]
+    return [(airs[:, k], vehicle.through_air(*motion, wind)[-n:]) for k, motion in enumerate(motions)]
+
+
 def _laws(t: Transcription) -> ca.Function:
     """``(g, r, u, xi, c, wind, cell, piece) -> (g_dot, pi, pi_dot, turned)``: the rate of the group's coordinates, the
     restricted momentum with its rate, and the gyroscopic part of that; ``cell, piece`` as in `Transcription.within`."""
     m = t.mechanics
     g, r, c, wind = (m.symbols[name] for name in ("g", "r", "c0", "wind"))
     cell, piece, vehicle = t.within
-    group = vehicle.group
+    group, air = vehicle.group, ca.SX.sym("air", 0)
+    if isinstance(vehicle, Holonomic) and not group.planar and (vehicle.drag or vehicle.rotors):
+        air = ca.SX.sym("air", 3)
+        vehicle = replace(vehicle, air=air)
     u, xi = ca.SX.sym("u", r.shape[0]), ca.SX.sym("xi", group.dim)
     p, mu = momentum(vehicle, r, u, xi)
     applied, steady = vehicle.force(g, r, u, xi, c, wind), conservative(vehicle, g, r)
@@ -160,7 +177,7 @@ def _laws(t: Transcription) -> ca.Function:
     g_dot = ca.substitute(flow, s, 0)
     pi_dot = project(vehicle, r, on_joints, on_group) + turning
     results = [ca.densify(x) for x in (g_dot, project(vehicle, r, p, mu), pi_dot, _on_group(vehicle, r, turned))]
-    names = ["g", "r", "u", "xi", "c", "wind", "cell", "piece"]
+    names = ["g", "r", "u", "xi", "c", "wind", "cell", "piece", "air"]
     return ca.Function(
-        "laws", [g, r, u, xi, c, wind, cell, piece], ca.cse(results), names, ["g_dot", "pi", "pi_dot", "turned"]
+        "laws", [g, r, u, xi, c, wind, cell, piece, air], ca.cse(results), names, ["g_dot", "pi", "pi_dot", "turned"]
     )

@@ -45,6 +45,9 @@ class Holonomic(Vehicle):
     ground: Callable[[Expr], Expr] | None = None
     mass: float | None = None
     gravity: float = GRAVITY
+    air: Expr | None = None
+    """Symbols (3,) that stand for the velocity of `through_air` in forces; a solver's derivatives then follow the chain
+    rule through them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,7 +105,9 @@ class Holonomic(Vehicle):
     @built_once
     def _force(self, g: Expr, xi: Expr, c: Expr, wind: Expr, height: Expr) -> tuple[Expr, Expr]:
         d, group = self.group.dim, self.group
-        air, through = (group.velocity_to_body(g, x) for x in (xi - _still(group, g, wind), xi))
+        air, through = self.through_air(g, xi, wind), group.velocity_to_body(g, xi)
+        if self.air is not None:
+            air = ca.vertcat(air[: d - 3], self.air)
         body = ca.SX(d, 1)
         if self.wrench is not None:
             body += law(self, "wrench", d, self.wrench, c)
@@ -116,6 +121,10 @@ class Holonomic(Vehicle):
             body += law(self, "resistance", d, self.resistance, *given)
         return ca.SX(0, 1), group.wrench_from_body(g, body)
 
+    def through_air(self, g: Expr, xi: Expr, wind: Expr) -> Expr:
+        """The body twist (d,) relative to the air."""
+        return self.group.velocity_to_body(g, xi - _still(self.group, g, wind))
+
     def potential(self, g: Expr, r: Expr) -> Expr:
         if self.group.dim != 6:
             return 0.0
@@ -123,9 +132,10 @@ class Holonomic(Vehicle):
         return self.gravity * mass * self.group.pose(g)[2]
 
     def dissipation(self, g: Expr, r: Expr, u: Expr, xi: Expr, wind: Expr) -> Expr:
-        lost, d = 0.0, self.group.dim
+        lost: Any = 0.0
+        d = self.group.dim
         if self.drag is not None:
-            air = self.group.velocity_to_body(g, xi - _still(self.group, g, wind))
+            air = self.through_air(g, xi, wind)
             lost -= ca.dot(law(self, "drag", d, self.drag, air), air)
         if self.resistance is not None:
             body, idle = self.group.velocity_to_body(g, xi), ca.SX(len(self.controls), 1)
