@@ -29,8 +29,8 @@ Expr = Any
 CHEAP = 110
 """Largest number of instructions of a segment's equations, for every component of its velocity, with which the velocity
 is eliminated: smaller linear systems then outweigh larger Hessians. Solves of a body without drag (108) take 15 to 20 %
-less, of the two-wheeled robot (90) 4 %; those of the simple car (114) would take 5 % more, and of boats (731) a third
-more instructions."""
+less, of the two-wheeled robot (90) 4 %; those of the simple car (114) would take 5 % more, and of boats (185) a fifth
+more."""
 
 
 def simpson(transcription: Transcription, reduced: bool = False) -> Element:
