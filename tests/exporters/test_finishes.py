@@ -74,6 +74,30 @@ def test_every_finish_and_colour_reaches_the_stage(tmp_path):
     assert texture("cone") == texture("b_bands")
 
 
+def test_roofs_have_no_windows(tmp_path):
+    """Walls of a facade have windows; what lies, a roof and a floor, has concrete in panels of a metre."""
+    from dataclasses import replace
+
+    from pxr import Usd, UsdGeom, UsdShade
+
+    house = replace(ob.box("house", (9, 0, 0), (6, 4, 9), heading=30), finish="facade")
+    clip = vehsim.simulate(vehsim.load_vehicle("car"), duration=0.1)
+    folder = Take("t", {"car": clip}, World(obstacles=[house]), (), Fraction(24), (1001, 1003)).export(tmp_path)
+    stage = Usd.Stage.Open(str(folder / "t.usda"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/t/env/obstacles/house/house"))
+    (subset,) = UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets()
+    level = np.asarray(subset.GetIndicesAttr().Get())
+    points, faces = np.asarray(mesh.GetPointsAttr().Get()), np.asarray(mesh.GetFaceVertexIndicesAttr().Get())
+    corners = points[faces.reshape(-1, 3)]
+    assert set(level) == set(np.flatnonzero(np.ptp(corners[..., 2], axis=1) < 1e-6)) and len(level) == 4
+    material, _ = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()
+    assert material.GetPath().name == "concrete"
+    st = np.asarray(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get()).reshape(-1, 3, 2)
+    tile = np.array(finishes.FINISHES["concrete"].tile)
+    edges = np.linalg.norm((st[level] - np.roll(st[level], 1, axis=1)) * tile, axis=2)
+    assert edges == pytest.approx(np.linalg.norm(corners[level] - np.roll(corners[level], 1, axis=1), axis=2), abs=1e-4)
+
+
 def test_lists_of_names_agree():
     """The shot file, the obstacles and the exporter name the same finishes and moods."""
     finish, mood = BoxTable.model_fields["finish"], RenderTable.model_fields["mood"]

@@ -28,6 +28,8 @@ PANEL, JOINT, HOLE = 1.0, 0.010, 0.022
 """Side of a concrete panel, half a joint between panels, and radius of the tie holes, m."""
 STOREY, BAY = 3.0, 2.0
 """Height of a storey and width of a window's bay, m."""
+LYING = 0.75
+"""Z of the unit normal from which a face lies: bevelled edges of a box belong to its walls."""
 PAINTS: dict[str, Colour] = {
     "concrete": (0.42, 0.40, 0.37),
     "terracotta": (0.42, 0.17, 0.09),
@@ -92,13 +94,15 @@ class Finish:
     colour: Colour | None = None
     """linear; default: one of the `PAINTS` in turn"""
     roughness: float = 0.8
+    level: str | None = None
+    """the finish of faces that rather lie than stand, such as roofs; default: the same"""
 
 
 FINISHES = {
     "concrete": Finish(_concrete),
     "paint": Finish(_paint, roughness=0.45),
     "stripes": Finish(_stripes, tile=(1.0, 1.0), colour=(0.80, 0.50, 0.02), roughness=0.45),
-    "facade": Finish(_facade, tile=(8.0, 12.0), colour=(0.44, 0.40, 0.34), roughness=0.7),
+    "facade": Finish(_facade, tile=(8.0, 12.0), colour=(0.44, 0.40, 0.34), roughness=0.7, level="concrete"),
     "bands": Finish(_bands, tile=(1.0, 1.0), fits=True, colour=(0.80, 0.14, 0.02), roughness=0.5),
 }
 """``finish`` of an obstacle -> what covers it."""
@@ -115,6 +119,11 @@ def picture(finish: str, colour: Colour) -> bytes:
     png = io.BytesIO()
     Image.fromarray(encode_srgb(FINISHES[finish].paint(u, v, np.array(colour)))).save(png, "png")
     return png.getvalue()
+
+
+def lying(normals: Array, finish: str) -> NDArray[np.bool_]:
+    """Which faces (m,) with ``normals`` (m, 3) have the finish of level ones instead."""
+    return (np.abs(normals[:, 2]) > LYING) & (FINISHES[finish].level is not None)
 
 
 def coordinates(corners: Array, normals: Array, finish: str) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vehsim.delivery.take import Take
 from vehsim.exporters.usd.metadata import author_points
 from vehsim.exporters.usd.packing import Pack
-from vehsim.exporters.usd.scenery.finishes import FINISHES, PAINTS, Colour, author_material, coordinates
+from vehsim.exporters.usd.scenery.finishes import FINISHES, PAINTS, Colour, author_material, coordinates, lying
 from vehsim.exporters.usd.scenery.lighting import encode_srgb, to_linear
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ MOST = 4_000_000
 
 def author_obstacles(stage: Any, scope: str, take: Take, pack: Pack) -> None:
     """Author every standing obstacle of the take's world as ``<scope>/<name>``, and their shared materials."""
-    from pxr import Kind, Tf, Usd, UsdGeom, UsdShade
+    from pxr import Kind, Tf, Usd, UsdGeom, UsdShade, Vt
 
     from vehsim.world.obstacles.obstacles import Obstacle
 
@@ -45,20 +45,30 @@ def author_obstacles(stage: Any, scope: str, take: Take, pack: Pack) -> None:
     layer = Path(stage.GetRootLayer().realPath)
     materials: dict[str, Any] = {}
     paints = cycle(PAINTS.items())
-    for obstacle in standing:
-        material, colour = _finish(obstacle, paints)
-        if material not in materials:
-            file = pack.folder / "assets" / "obstacles" / f"{material}.png"
-            place, relative = f"{scope}/materials/{material}", pack.relative(file, layer)
-            materials[material] = author_material(stage, place, file, relative, obstacle.finish, colour)
+
+    def material_of(name: str, finish: str, colour: Colour) -> Any:
+        if name not in materials:
+            file = pack.folder / "assets" / "obstacles" / f"{name}.png"
+            place, relative = f"{scope}/materials/{name}", pack.relative(file, layer)
+            materials[name] = author_material(stage, place, file, relative, finish, colour)
             pack.written.append(file)
+        return materials[name]
+
+    for obstacle in standing:
         name = Tf.MakeValidIdentifier(obstacle.name)
         path = f"{scope}/{name}"
         xform = UsdGeom.Xform.Define(stage, path)
         Usd.ModelAPI(xform).SetKind(Kind.Tokens.component)
         mesh = UsdGeom.Mesh.Define(stage, f"{path}/{name}")  # Blender merges both into one object with the mesh's name
-        _author_mesh(mesh, obstacle)
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(materials[material])
+        level = _author_mesh(mesh, obstacle)
+        material, colour = _finish(obstacle, paints)
+        binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+        binding.Bind(material_of(material, obstacle.finish, colour))
+        finish = FINISHES[obstacle.finish].level
+        if finish is not None and len(level):
+            subset = binding.CreateMaterialBindSubset("level", Vt.IntArray.FromNumpy(level.astype(np.int32)))
+            other = material_of(finish, finish, PAINTS[finish])
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(other)
 
 
 def _finish(obstacle: Obstacle, paints: Iterator[tuple[str, Colour]]) -> tuple[str, Colour]:
@@ -73,7 +83,8 @@ def _finish(obstacle: Obstacle, paints: Iterator[tuple[str, Colour]]) -> tuple[s
     return f"{obstacle.finish}_{encode_srgb(colour).tobytes().hex()}", colour
 
 
-def _author_mesh(mesh: Any, obstacle: Obstacle) -> None:
+def _author_mesh(mesh: Any, obstacle: Obstacle) -> NDArray[np.int64]:
+    """Write the mesh; returns the faces that have the finish of level ones."""
     from pxr import Sdf, UsdGeom, Vt
 
     points, faces = obstacle.points, obstacle.faces
@@ -88,7 +99,11 @@ def _author_mesh(mesh: Any, obstacle: Obstacle) -> None:
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(shaded.astype(np.float32)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
-    st.Set(Vt.Vec2fArray.FromNumpy(coordinates(corners, normals, obstacle.finish).reshape(-1, 2).astype(np.float32)))
+    uvs, level = coordinates(corners, normals, obstacle.finish), lying(normals, obstacle.finish)
+    if level.any():
+        uvs[level] = coordinates(corners[level], normals[level], FINISHES[obstacle.finish].level or obstacle.finish)
+    st.Set(Vt.Vec2fArray.FromNumpy(uvs.reshape(-1, 2).astype(np.float32)))
+    return np.flatnonzero(level)
 
 
 def shading_normals(points: Array, faces: NDArray[np.int64]) -> Array:
