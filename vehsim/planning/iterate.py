@@ -119,6 +119,11 @@ class Iterate(Trajectory):
         """The first block of a kind, or None."""
         return next((block for block in self.blocks if isinstance(block, kind)), None)
 
+    @cached_property
+    def strains(self) -> dict[Request, float]:
+        """Largest ratios of its motion to soft limits, by request, as far as they were measured."""
+        return {}
+
     @property
     def timing(self) -> Timing:
         found = self.block(Timing)

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +90,6 @@ CALM = 0.85
 STRAINED, WORTH = 1.15, 0.9
 """Where the spheres around a vehicle press on a motion that exceeds a limit of its character by this ratio, its hulls
 are used instead, if they reduce the ratio by this factor or more."""
-_STRAINS: WeakKeyDictionary[Iterate, dict[Request, float]] = WeakKeyDictionary()
-"""What `_strain` has measured."""
 Reason = Literal["refused", "time limit", "not solved", "clearance", "between knots", "execution", "audit"]
 """Why a plan failed. In turn: its marks contradict each other or the vehicle; the time limit was reached; the solver
 found no motion; the certified clearance is too small; a constraint is violated between knots; the controls end
@@ -393,7 +390,7 @@ def _is_too_hard(run: Run, iterate: Iterate) -> bool:
 
 def _strain(iterate: Iterate, request: Request) -> float:
     """The largest ratio of a coarse motion to a soft limit of the request's character."""
-    known = _STRAINS.setdefault(iterate, {})
+    known = iterate.strains
     if request not in known:
         soft = [ask for ask in asks_of(request, iterate.mark_frames()) if ask.key.startswith(BEYOND)]
         known[request] = _largest_ratio(audit(iterate.track, soft, WorldScene(request.world, request.vehicle)))
