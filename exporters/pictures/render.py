@@ -41,6 +41,8 @@ LARGEST = 16_000
 """Longest side of an off-screen buffer, px; 16384 is refused."""
 HAZE = (10.0, 760.0)
 """Distances at which haze starts and at which it hides everything, m."""
+OBSTACLES = "/env/obstacles/"
+"""Part of the paths of obstacles in shots."""
 CLEAR = 4.0
 """Haze hides everything no nearer than this many times the usual distance of the cameras from the movers."""
 
@@ -65,7 +67,7 @@ class StageRenderer:
         self._shadow_axes = _across(self._light.direction)
         self._casters = spans_of_casters(stage, self._shadow_axes, self._bounds[0])
         self._reach = shadow_reach(stage, self._casters)
-        self._haze_end = haze_end(stage, self._bounds)
+        self._haze_end = haze_end(stage)
         self._shades = Shades(stage)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
         width, height = self._supersample * size[0], self._supersample * size[1]
@@ -435,22 +437,24 @@ def bounds_of(stage: StageReader) -> tuple[Array, Array]:
     return np.min(corners, axis=0), np.max(corners, axis=0)
 
 
-def haze_end(stage: StageReader, bounds: tuple[Array, Array]) -> float:
+def haze_end(stage: StageReader) -> float:
     """Distance at which haze hides everything, m: before the ground's edge; in empty space there is no edge to hide.
 
     It ends no nearer than `CLEAR` times the usual distance of the cameras from the movers: distant shots stay clear.
     """
-    if stage.water is not None or all(shape.group for shape in stage.shapes):
+    ground = [shape for shape in stage.shapes if not shape.group and OBSTACLES not in shape.name]
+    if stage.water is not None or not ground:
         return HAZE[1]
-    edge = 0.6 * float((bounds[1] - bounds[0])[:2].min())
+    points = np.concatenate([shape.points[:, :2] for shape in ground])
+    edge = 0.6 * float(np.ptp(points, axis=0).min())
     return max(min(HAZE[1], max(edge, 60.0)), CLEAR * (_usual_distance(stage) or 0.0))
 
 
 def _across(direction: Array) -> tuple[Array, Array]:
-    """Two unit vectors (3,) perpendicular to a unit ``direction`` and to each other, the first of them horizontal."""
-    side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.999 else (0.0, 1.0, 0.0))
-    side /= np.linalg.norm(side)
-    return side, np.cross(side, direction)
+    """The right and the up (3,) of MuJoCo's shadow map for light along a unit ``direction``."""
+    up = np.cross(direction, (-1.0, 0.0, 0.0) if np.hypot(*direction[1:]) > 0.1 else (0.0, 1.0, 0.0))
+    up /= np.linalg.norm(up)
+    return np.cross(direction, up), up
 
 
 def spans_of_casters(stage: StageReader, axes: tuple[Array, Array], lower: Array) -> Array:

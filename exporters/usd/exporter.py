@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
 
 
+PATTERN = 40.0
+"""The flat ground's pattern repeats after this, m."""
 LAYERS = {"exact": "{}.anim.usdc", "thinned": "{}.thinned.usdc", "curves": "{}.curves.usda"}
 """Form of a vehicle's motion -> its layer. Splines are text: few numbers, and a binary layer of its own version."""
 
@@ -99,7 +101,7 @@ def write_usd(take: Take, folder: Path, progress: Progress) -> Sequence[Path]:
         author_mass(prim, clip.vehicle, units)
         _model(prim, Kind.Tokens.component, clip.vehicle.name, pack.relative(layers[name]["exact"], path))
     progress("usd: environment", len(clips) / (len(clips) + 2))
-    _author_terrain(stage, f"/{take.name}/env/terrain", take, pack, path)
+    _author_terrain(stage, f"/{take.name}/env", take, pack, path)
     with _layer_of(stage, f"/{take.name}/env/obstacles", take, pack, path, Z_UP_METRES) as layer:
         author_obstacles(layer, "/obstacles", take, pack)
     if settings.tyre_marks:
@@ -247,13 +249,22 @@ def author_bounds(prim: Any, frames: tuple[int, int]) -> None:
     model.SetExtentsHint(model.ComputeExtentsHint(cache))
 
 
-def _author_terrain(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Path) -> None:
-    """Reference the terrain's look, or a ground authored from its heights if it has none."""
+def _author_terrain(stage: Any, scope: str, take: Take, pack: Pack, shot: Path) -> None:
+    """Reference the terrain's look, or a ground authored from its heights if it has none.
+
+    Vehicles that roll without a terrain would seem to float in pictures: level ground is shown below them.
+    """
     from pxr import Kind, UsdGeom
 
     from vehsim.exporters.usd.scenery.ground import write_ground
+    from vehsim.world.terrain.terrain import Terrain
 
-    terrain = take.world.terrain
+    terrain, name = take.world.terrain, "terrain"
+    rolling = [clip for clip in take.clips.values() if clip.vehicle.rolls]
+    middle = np.zeros(2)
+    if terrain is None and take.world.water is None and rolling:
+        terrain, name = Terrain.load("flat"), "ground"
+        middle = PATTERN * np.round(np.mean([np.mean(clip.positions[:, :2], 0) for clip in rolling], 0) / PATTERN)
     if terrain is None:
         return
     if terrain.look is not None:
@@ -261,8 +272,10 @@ def _author_terrain(stage: Any, prim_path: str, take: Take, pack: Pack, shot: Pa
     else:
         asset, files = write_ground(terrain, pack.folder / "assets")
         pack.written.extend(files)
-    xform = UsdGeom.Xform.Define(stage, prim_path)
+    xform = UsdGeom.Xform.Define(stage, f"{scope}/{name}")
     xform.GetPrim().GetPayloads().AddPayload(pack.relative(asset, shot))
+    if middle.any():
+        xform.AddTranslateOp().Set((*middle.tolist(), 0.0))
     author_bounds(xform.GetPrim(), take.frames)
     correct_units(xform, asset)
     _model(xform.GetPrim(), Kind.Tokens.component, terrain.name, pack.relative(asset, shot))

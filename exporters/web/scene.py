@@ -442,7 +442,7 @@ def _light(pack: Packing, stage: StageReader) -> dict[str, Any]:
         "sun": (key.colour * exposure).tolist(),
         "sky": _jpeg(pack, Image.fromarray(shown)),
         "R_wd": (np.eye(3) if sky is None else sky.R_wd).tolist(),
-        "haze": {"colour": horizon.tolist(), "start": HAZE[0], "end": haze_end(stage, (lower, upper))},
+        "haze": {"colour": horizon.tolist(), "start": HAZE[0], "end": haze_end(stage)},
         "bounds": [lower.tolist(), upper.tolist()],
         "grounded": grounded,
     }

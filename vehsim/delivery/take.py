@@ -185,10 +185,11 @@ def write_reports(take: Take, folder: Path, written: Mapping[str, Sequence[Path]
 
 
 def export_clip(clip: Clip, path: Path, to: str | Sequence[str] | None = None) -> Path:
-    """Write one clip in empty space with a chase camera; ``path`` gives its name, its suffix or ``to`` the exporter.
+    """Write one clip in empty space, on level ground if it rolls, with a chase camera.
 
-    Exporters with several files write them beside ``path``. Returns the file for ``path``. Raises ``InputError`` for an
-    unknown suffix or exporter, ``ExportError`` for files that cannot be written.
+    ``path`` gives its name, its suffix or ``to`` the exporter. Exporters with several files write them beside ``path``.
+    Returns the file for ``path``. Raises ``InputError`` for an unknown suffix or exporter, ``ExportError`` for files
+    that cannot be written.
     """
     names = [exporter_for(path).name] if to is None else [to] if isinstance(to, str) else list(to)
     suffixes = {suffix for name in names for suffix in find_exporter(name).suffixes}

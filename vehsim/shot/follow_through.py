@@ -36,8 +36,7 @@ def _released(clip: Clip, index: int) -> Array | None:
     from vehsim.planning.trim import trim
 
     vehicle, inner = clip.vehicle, (1, -2)[index]
-    on_wheels = isinstance(vehicle, Nonholonomic) and vehicle.group.planar
-    if not (on_wheels and len(vehicle.controls) and len(clip) > 1 and rests(clip, index)):
+    if not (vehicle.rolls and len(vehicle.controls) and len(clip) > 1 and rests(clip, index)):
         return None
     change = (clip.twists[index] - clip.twists[inner]) / (clip.times[index] - clip.times[inner])
     return None if np.abs(change).max() < _STEADY else trim(vehicle, (0.0, 0.0, 0.0))

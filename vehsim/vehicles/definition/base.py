@@ -143,6 +143,11 @@ class Definition:
         return not all(control.actuator.ideal for control in self.controls)
 
     @property
+    def rolls(self) -> bool:
+        """Whether it rolls on the ground, on wheels or rollers."""
+        return False
+
+    @property
     def dynamic(self) -> tuple[int, ...]:
         """Indices of the joints whose rates are free: neither set by a rate control nor tied by the constraints."""
         driven = set(self.rate_controls.values())

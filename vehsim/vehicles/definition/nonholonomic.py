@@ -73,6 +73,10 @@ class Nonholonomic(Vehicle):
         _check_definite(self, sample)
 
     @property
+    def rolls(self) -> bool:
+        return self.group.planar
+
+    @property
     def tied(self) -> tuple[int, ...]:
         return self._tied  # type: ignore[attr-defined, no-any-return]  # set when it is made
 

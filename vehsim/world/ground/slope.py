@@ -39,7 +39,7 @@ def on_terrain(vehicle: Vehicle, world: Any, places: ArrayLike | None = None) ->
     from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 
     terrain = None if world is None else world.terrain
-    if terrain is None or not isinstance(vehicle, Nonholonomic) or not vehicle.group.planar:
+    if terrain is None or not isinstance(vehicle, Nonholonomic) or not vehicle.rolls:
         return vehicle
     if np.ptp(terrain.heights) < 1e-9:
         return vehicle
