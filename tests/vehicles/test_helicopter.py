@@ -8,6 +8,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.optimize
 
 import vehsim
 from vehsim.constants import AIR, GRAVITY
@@ -36,6 +37,10 @@ MATRICES = [
 ]  # fmt: skip
 """Padfield's own calculation, from his system matrices, second edition (2007), pages 287 to 291: speed in knots, and
 two elements, cos(roll) tan(pitch), which couples the yaw rate to roll, and -g sin(roll) cos(pitch), m/s^2."""
+COLLECTIVE = [(50.1, 12.086), (60.3, 12.143), (70.5, 12.571), (80.7, 13.057), (100.2, 14.514)]
+"""Speed in knots and collective pitch in degrees in flight tests: Padfield (1996), Fig. 4.10(c), from 50 knots on."""
+AS_FLOWN = 0.90
+"""Drag of hub and all else that the fuselage's 1.02 m^2 leave out, m^2, in those flight tests: from `COLLECTIVE`."""
 KNOT = 0.514444
 
 
@@ -51,16 +56,21 @@ def bo105():
     return vehsim.load_vehicle(BO105, {"mass": 2096.0, "hub_ahead": 0.018, "d_r": 5.99})
 
 
+def body(found, speed, climb=0.0):
+    """A horizontal and a vertical speed along the body's axes."""
+    a, b = found.pitch, found.roll  # the body's axes in the world: nose up about -Y, then right side down about X
+    nose = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    side = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+    return (nose @ side).T @ [speed, 0, climb]
+
+
 def shaft_power(vehicle, speed, climb=0.0):
     """Power in steady flight at a horizontal and a vertical speed, W."""
     found = steady(vehicle, (speed, 0.0, climb))
     assert np.abs(found.residual).max() < 1e-2  # N and N m
     air, c = ca.SX.sym("air", 6), ca.SX.sym("c", 4)
     law = ca.Function("power", [air, c], [vehicle.power(air, c, math.inf)])
-    a, b = found.pitch, found.roll  # the body's axes in the world: nose up about -Y, then right side down about X
-    nose = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
-    side = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
-    return float(law(np.concatenate([np.zeros(3), (nose @ side).T @ [speed, 0, climb]]), found.controls))
+    return float(law(np.concatenate([np.zeros(3), body(found, speed, climb)]), found.controls))
 
 
 def test_hover_attitude_is_the_published_one(bo105):
@@ -70,8 +80,8 @@ def test_hover_attitude_is_the_published_one(bo105):
 
 
 def test_pitch_and_roll_against_speed_are_those_that_padfield_calculates():
-    """With his numbers, so without drag of the hub. In pitch 2 % of its change up to 100 knots, 8 % at 140. Roll is 11
-    to 15 % larger at every speed, because his induced velocity has no factor of 1.15."""
+    """With his numbers, so without drag of the hub. In pitch 2 % of its change up to 100 knots, 8 % at 140. Roll is 7
+    to 13 % larger, because his induced velocity has no factor of 1.15."""
     vehicle = vehsim.load_vehicle(BO105, {"hub_drag": 0.0})
     speeds, coupling, side = np.array(MATRICES, float).T
     pitch = np.arctan(coupling)
@@ -81,7 +91,7 @@ def test_pitch_and_roll_against_speed_are_those_that_padfield_calculates():
     found = [trimmed(vehicle, float(v) * KNOT) for v in speeds]
     off = np.abs([f.pitch for f in found] - pitch) / np.ptp(pitch)
     assert off.max() < 0.08 and off[speeds <= 100].max() < 0.02
-    assert np.array([f.roll for f in found]) / roll == pytest.approx(1.13, abs=0.025)
+    assert np.array([f.roll for f in found]) / roll == pytest.approx(1.10, abs=0.03)
     bare = vehsim.load_vehicle(BO105, {"hub_drag": 0.0, "induced_factor": 1.0})
     assert trimmed(bare, 0.0).roll == pytest.approx(roll[0], rel=0.02)
 
@@ -122,13 +132,122 @@ def test_pitch_against_speed_follows_flight_tests():
     assert (np.sort(off[speeds > 45]) < [0.09, 0.09, 0.105, 0.145, 0.175]).all()
 
 
-def test_power_against_speed_follows_flight_tests_below_cruise():
-    """Without losses in gears. From 60 knots on, flight tests need 13 to 26 % more: see docs/derivations.md."""
-    vehicle = vehsim.load_vehicle(BO105)
+def test_power_is_what_padfields_roll_stands_for():
+    """The tail rotor that balances the torque causes the roll, which is linear in the power. From 0 to 140 knots, ours
+    is 8 to 13 % more than that of his roll: his induced velocity has no factor of 1.15."""
+    less, ours = (vehsim.load_vehicle(BO105, {"hub_drag": 0.0, "induced_factor": k}) for k in (0.4, 1.15))
+    for knots, coupling, side in MATRICES:
+        speed = knots * KNOT
+        roll = -side / GRAVITY * np.hypot(1, coupling)  # to 1e-4: his pitch is small, and so is its sine
+        rolls = [trimmed(v, speed).roll for v in (ours, less)]
+        power = [shaft_power(v, speed) for v in (ours, less)]
+        his = np.interp(roll, rolls, power)
+        assert 1.06 < power[0] / his < 1.14
+
+
+@pytest.mark.parametrize("knots", [0, 60, 100, 130])
+def test_the_work_of_the_in_plane_drag_counts_once(knots):
+    """The main rotor's power is that of its inflow, that of all other drag, and 1 + 4.65 mu^2 times the hover's profile
+    power. Counted twice, the blades' drag in the plane of the disc is 3 % at 130 knots."""
+    vehicle, speed = vehsim.load_vehicle(BO105), knots * KNOT
+    found = trimmed(vehicle, speed)
+    main, tail = Rotor(4.91, 44.4, 0.07, 0.0083, 1.15), Rotor(0.95, 232.7, 0.12, 0.0083, 1.15)
+    thrust, push, tilt, _ = np.ravel(found.controls)
+    v = body(found, speed)
+    along, air = speed * np.sin(tilt + 0.0524 - found.pitch), ca.SX.sym("air", 6)
+    force = np.ravel(ca.Function("drag", [air], [vehicle.drag(air)])([0, 0, 0, *v]))[3:]
+    other = -force @ v - main.drag * (v[0] ** 2 + v[1] ** 2)
+    inflow = float(ca.evalf(ca.SX(main.induced(thrust, along, speed**2 - along**2))))
+    profile = main.profile_power * (1 + 4.65 * (speed / main.tip_speed) ** 2)
+    aft = float(ca.evalf(ca.SX(tail.power(push, -v[1], v[0] ** 2 + v[2] ** 2))))
+    expected = 1.15 * thrust * inflow + profile + other
+    assert shaft_power(vehicle, speed) - aft == pytest.approx(expected, rel=0.004)
+
+
+def blade_pitch(speed, drag):
+    """Collective pitch (rad) of the Bo 105's main rotor in level flight, and its induced and profile power (W).
+
+    Blade elements in the plane of the disc with Padfield's section and twist and even inflow, without lift on the outer
+    3 % and without blades on the inner 20 %.
+    """
+    radius, chords, twist, slope, weight = 4.91, 4 * 0.27, -0.14, 6.113, 2200 * GRAVITY
+    tip = 44.4 * radius
+    x, psi = (0.2 + 0.8 * (np.arange(40) + 0.5) / 40)[:, None], (np.arange(72) + 0.5) / 72 * 2 * np.pi
+    sin, cos = np.sin(psi), np.cos(psi)
+    strip = AIR / 2 * chords * 0.8 * radius / (40 * 72) * tip**2
+    in_plane = 0.0
+    for _ in range(3):
+        thrust, lean = np.hypot(weight, drag + in_plane), np.arctan2(drag + in_plane, weight)
+        mu, along = speed * np.cos(lean) / tip, speed * np.sin(lean)
+        rotor = Rotor(radius, 44.4, 0.07, 0.0083, 1.0)
+        induced = float(ca.evalf(ca.SX(rotor.induced(thrust, along, (mu * tip) ** 2))))
+        u, up = x + mu * sin, (along + induced) / tip + 0 * psi
+
+        def loads(pitch, u=u, up=up, mu=mu):
+            inflow = np.arctan2(up, np.abs(u))
+            attack = pitch[0] + twist * x + pitch[1] * cos + pitch[2] * sin
+            attack = np.clip(np.where(u > 0, attack - inflow, -attack - inflow), -0.25, 0.25)
+            size, c_d = np.hypot(u, up), 0.0074 + 0.00961 * attack + 0.29395 * attack**2
+            lift, c_d = strip * slope * attack * (x < 0.97), strip * c_d
+            up_force = size * (lift * np.abs(u) - c_d * up)
+            back = size * (lift * up + c_d * np.abs(u)) * np.sign(u)
+            radial = c_d * np.sqrt(size**2 + (mu * cos) ** 2) * mu * cos
+            return up_force, back, back * sin + radial * cos
+
+        def balance(pitch, loads=loads, thrust=thrust):
+            up_force = loads(pitch)[0]
+            return np.array([up_force.sum() - thrust, (up_force * x * cos).sum(), (up_force * x * sin).sum()]) / thrust
+
+        pitch = scipy.optimize.fsolve(balance, [0.2, 0.0, -0.05])
+        _, back, force = loads(pitch)
+        in_plane = force.sum()
+    useful = (thrust * np.sin(lean) - in_plane * np.cos(lean)) * speed
+    return pitch[0], (back * x).sum() * tip - useful
+
+
+@pytest.mark.parametrize("knots", [0, 40, 80, 120, 140])
+def test_induced_and_profile_power_are_those_of_blade_elements(knots):
+    """With the published section: 6 % less in hover, at most 7 % more in cruise."""
+    speed, main = knots * KNOT, Rotor(4.91, 44.4, 0.07, 0.0083, 1.15)
+    drag = AIR / 2 * 1.246 * speed**2
+    lean = np.arctan2(drag, 2200 * GRAVITY)
+    thrust, along = np.hypot(drag, 2200 * GRAVITY), speed * np.sin(lean)
+    across = speed**2 - along**2
+    ours = float(ca.evalf(ca.SX(main.power(thrust, along, across)))) - thrust * along + main.drag * across
+    assert blade_pitch(speed, drag)[1] / ours == pytest.approx(1.0, abs=0.07)
+
+
+def test_the_measured_collective_asks_for_the_drag_as_flown():
+    """From 50 to 100 knots, its rise is that of a total drag of 1.9 m^2, whatever its zero is. Power is not used."""
+    speeds, measured = np.array(COLLECTIVE).T
+    pitch = [[blade_pitch(v * KNOT, AIR / 2 * f * (v * KNOT) ** 2)[0] for v in speeds] for f in (1.7, 2.1)]
+    low, high = np.degrees(pitch)
+    columns = np.stack([high - low, np.ones_like(low)], 1)
+    (share, _), residual, *_ = np.linalg.lstsq(columns, measured - low, rcond=None)
+    assert 1.7 + 0.4 * share == pytest.approx(1.02 + AS_FLOWN, abs=0.03)
+    assert np.sqrt(residual[0] / len(speeds)) < 0.06  # degrees; 0.3 with the 1.25 m^2 of the vehicle's data
+    short = measured - np.degrees([blade_pitch(v * KNOT, AIR / 2 * 1.246 * (v * KNOT) ** 2)[0] for v in speeds])
+    assert np.std(short) > 0.25
+
+
+def test_power_against_speed_follows_flight_tests():
+    """Without losses in gears, as flown: at most 12 % off. With the drag of the data as published, from 60 knots on
+    flight tests need 14 to 28 % more: see docs/derivations.md."""
     speeds, measured = np.array(POWER, float).T
-    off = np.array([shaft_power(vehicle, float(v) * KNOT) for v in speeds]) / 1e3 / measured - 1
-    assert np.abs(off[speeds < 50]).max() < 0.09 and np.abs(off[speeds < 70]).max() < 0.145
-    assert off.min() > -0.26
+    published, flown = (
+        np.array([shaft_power(vehicle, float(v) * KNOT) for v in speeds]) / 1e3 / measured - 1
+        for vehicle in (vehsim.load_vehicle(BO105), vehsim.load_vehicle(BO105, {"hub_drag": AS_FLOWN}))
+    )
+    assert np.abs(flown).max() < 0.12
+    assert np.abs(published[speeds < 50]).max() < 0.09 and published.min() > -0.285
+
+
+def test_pitch_as_flown_follows_flight_tests_once_the_wake_has_left_the_tail():
+    vehicle = vehsim.load_vehicle(BO105, {"hub_drag": AS_FLOWN})
+    speeds, measured = np.array(FLIGHT).T
+    pitch = np.degrees([trimmed(vehicle, float(v) * KNOT).pitch for v in speeds])
+    off = np.abs(pitch - measured) / np.ptp(measured)
+    assert off[speeds > 30].max() < 0.155 and off[speeds > 30].mean() < 0.08 and off.max() < 0.225
 
 
 def test_power_has_its_bucket(bo105):
@@ -155,7 +274,7 @@ def test_the_power_of_the_fastest_cruise_climbs_as_published(loaded):
 
 
 def test_hub_drag_is_what_the_published_climb_asks_for():
-    """Without it, the power of the fastest cruise climbs 18 % too slowly."""
+    """Without it, the power of the fastest cruise climbs 24 % too slowly."""
     bare = vehsim.load_vehicle(BO105, {"mass": 2400.0, "hub_drag": 0.0})
     assert shaft_power(bare, 60 * KNOT, 0.85 * 440 / 60) > shaft_power(bare, 240 / 3.6)
 
@@ -165,7 +284,7 @@ def test_best_climb_and_best_range_are_flown_at_the_published_speeds(loaded):
     speeds = np.arange(45.0, 130.0, 2.5)
     power = np.array([shaft_power(loaded, float(v) * KNOT) for v in speeds])
     assert speeds[power.argmin()] == pytest.approx(60, rel=0.15)
-    assert speeds[((power + 196e3) / speeds).argmin()] == pytest.approx(204 / 1.852, rel=0.05)
+    assert speeds[((power + 196e3) / speeds).argmin()] == pytest.approx(204 / 1.852, rel=0.07)
 
 
 def test_fuel_flow_in_cruise_is_the_published_one(loaded):

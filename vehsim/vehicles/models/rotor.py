@@ -82,12 +82,13 @@ class Rotor:
     def power(self, thrust: Expr, along: Expr, across: Expr, height: Expr = math.inf) -> Any:
         """Power at the shaft, W: induced, climb or parasite (``thrust`` times ``along``), and profile power.
 
-        Profile power grows with ``1 + 4.65 mu^2`` (Stepniewski), of which the H-force's own work is 2 ``mu^2``.
+        Profile power grows with ``1 + 4.65 mu^2`` (Stepniewski). Of that, 2 ``mu^2`` is the work of the H-force, which
+        the thrust does as it leans against `drag`, so that it is in the second part.
         ``height`` m above the ground: there, the induced part is smaller.
         """
         free = self.induced(thrust, along, across)
         induced = self.induced_factor * free * self.cushion(height, across, free)
-        return thrust * (induced + along) + self.profile_power * (1 + 4.65 * across / self.tip_speed**2)
+        return thrust * (induced + along) + self.profile_power * (1 + 2.65 * across / self.tip_speed**2)
 
     def coning(self, thrust: Expr, lock_number: float) -> Any:
         """Angle at which hinged blades stand above the plane of the disc in hover, rad.
