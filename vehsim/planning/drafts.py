@@ -27,10 +27,12 @@ from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import check_marks_clear, straightened
 from vehsim.planning.request.request import Request, afloat, all_marks, make_request
 from vehsim.planning.restraint import restrain, restrained
+from vehsim.planning.rolled import with_slip, without_slip
 from vehsim.planning.solve import begin, solve
 from vehsim.planning.trajectory import drawn
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
+from vehsim.vehicles.definition.character import STUNT
 from vehsim.world.obstacles.obstacles import Obstacle, hulls_of
 from vehsim.world.world import World
 
@@ -172,7 +174,9 @@ def _first(request: Request, clip: Clip | None) -> Draft:
             request = replace(request, given=request.marks, marks=posed)
         first = begin(run, request, transcribe(request.weighed), cover, guess.paths, like, coarse=False)
         iterate = first
-        if like is not None:  # a solved motion, in its character already: stay near it
+        if request.traits.name != STUNT and (rolled := without_slip(run, request, guess)) is not None:
+            iterate = restrain(run, with_slip(run, first, rolled))
+        elif like is not None:  # a solved motion, in its character already: stay near it
             iterate = solve(run, replace(restrained(first), prolongated=True))
         return Draft(iterate if iterate.success else restrain(run, solve(run, first)), run)
 

@@ -46,6 +46,7 @@ from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, nearby, restrain, restrained, without_character
+from vehsim.planning.rolled import with_slip, without_slip
 from vehsim.planning.solve import COARSE, begin, give_up, solve
 from vehsim.planning.terms import Term
 from vehsim.planning.trajectory import exported
@@ -456,6 +457,15 @@ def _attempt(request: Request, progress: Progress | None, given: Any, once: bool
     posed, easy = _posed(request, guess.paths), not once and _is_easy(request, cover)
     iterate = begin(run, posed, transcription, cover, guess.paths, guess.clip, coarse=not easy)
     hopeless = run.deadline.hopeless
+    # a stunt may slide, which is tried first
+    rolled = None if hopeless or request.traits.name == STUNT else without_slip(run, posed, guess)
+    if rolled is not None:
+        if early and _is_too_hard(run, rolled):
+            raise _TooHard(rolled)
+        slipping = with_slip(run, iterate, rolled)
+        if early and not slipping.success and _strain(rolled, rolled.request) > 1:
+            raise _TooHard(rolled)
+        iterate, easy = (slipping, False) if slipping.success else (iterate, easy)
     if easy:
         iterate = _at_once(run, iterate)
     # a motion disproves every refusal
@@ -494,6 +504,9 @@ def _found(
         untried = iterate  # other guesses are better than this one
     elif not iterate.success:
         iterate = solve(run, iterate)
+    if not iterate.success and request.traits.name == STUNT and not run.deadline.late:
+        rolled = without_slip(run, iterate.request, guess)
+        iterate = iterate if rolled is None else with_slip(run, iterate, rolled)
     if iterate.success or once:
         return run, iterate
     relaxed = request

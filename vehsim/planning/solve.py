@@ -196,7 +196,8 @@ def _solver(run: Run, iterate: Iterate) -> Solver:
     request, layout, transcription = iterate.request, iterate.layout, iterate.transcription
     keys: tuple[Hashable, ...] = tuple(block.key(layout, transcription) for block in iterate.blocks)
     # a character is a preference: its costs need not be least
-    end: End = run.end or ("optimal" if request.traits.name == STUNT else "content")
+    content: End = "content" if request.vehicle.rolling is None else "stiff"
+    end: End = run.end or ("optimal" if request.traits.name == STUNT else content)
     key = transcription, layout, keys, request.solver, request.max_iterations, end
     cache = run.solvers if iterate.cover is not None or request.terms else common()
 

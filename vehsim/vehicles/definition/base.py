@@ -86,6 +86,10 @@ class Definition:
     rolling: Callable[[Expr, Expr], Expr] | None = None
     """Joints (s,) and body twist (d,) -> the joint rates (s,) at which its wheels roll without slip, if they may slip.
     A motion of unknown joint rates rolls. None: constraints determine the wheels, or there are none."""
+    across: Callable[[Expr, Expr], Expr] | None = None
+    """Joints (s,) and body twist (d,) -> the speeds (m,) at which its axles move sideways, m/s: zero without slip."""
+    torques: Callable[[Expr, Expr], Expr] | None = None
+    """Joint rates (s,) and controls (c,) -> what engine and brakes exert on the joints (s,), if its wheels may slip."""
     attitude: tuple[str, str, str] | None = None
     """Joints that are the body's heave [m], pitch (nose down) and roll (left side up) [rad] on its own springs; None:
     the springs of its rig move it on a terrain, see `vehsim.world.ground`."""

@@ -117,17 +117,18 @@ def drift_car(
         cosine, sine = steered(r[1])
         push, aside = cosine * ahead[0] - sine * ahead[1], sine * ahead[0] + cosine * ahead[1]
         body = ca.vertcat(front * aside - rear * behind[1], push + behind[0], aside + behind[1])
-        on_rear = (
-            (1 - drive_front) * c[0]
-            + brake((1 - brake_front) * c[1] + c[2], wheel_radius * u[0])
-            - wheel_radius * behind[0]
-        )
-        on_front = drive_front * c[0] + brake(brake_front * c[1], wheel_radius * u[2]) - wheel_radius * ahead[0]
-        return ca.vertcat(on_rear, 0, on_front), body
+        return torques(u, c) - wheel_radius * ca.vertcat(behind[0], 0, ahead[0]), body
+
+    def torques(u: Expr, c: Expr) -> Expr:
+        on_rear = (1 - drive_front) * c[0] + brake((1 - brake_front) * c[1] + c[2], wheel_radius * u[0])
+        return ca.vertcat(on_rear, 0, drive_front * c[0] + brake(brake_front * c[1], wheel_radius * u[2]))
 
     def rolling(r: Expr, xi: Expr) -> Expr:
         ahead, behind = velocities(r, xi)
         return ca.vertcat(behind[0], 0, ahead[0]) / wheel_radius
+
+    def across(r: Expr, xi: Expr) -> Expr:
+        return ca.vertcat(*(hub[1] for hub in velocities(r, xi)))
 
     def slip(axle: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: sliding(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]]))
@@ -154,6 +155,8 @@ def drift_car(
         controls=CONTROLS,
         rate_controls={"steering_rate": "sigma"},
         rolling=rolling,
+        across=across,
+        torques=torques,
         largest_step=LARGEST_STEP,
         surface=surface,
         default_costs={"spin": SPIN},

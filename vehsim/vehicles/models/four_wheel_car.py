@@ -183,16 +183,19 @@ def four_wheel_car(
         links = sum(d * positive(push(w, r, u)) for w, d in down.items()) / (2 - sum(down.values()))
         return {wheel: (positive(push(wheel, r, u) + links), links, n) for wheel, n in shares.items()}
 
+    def torques(u: Expr, c: Expr) -> Expr:
+        on_joints = ca.SX.zeros(len(joints))
+        for wheel, shaft in shafts.items():
+            braking = {"f": brake_front, "r": 1 - brake_front}[wheel[0]] * c[1] + c[2] * (wheel[0] == "r")
+            on_joints[at[shaft]] += share[wheel[0]] * c[0] / 2 + brake(braking / 2, wheel_radius * u[at[shaft]])
+        return on_joints
+
     def forces(r: Expr, u: Expr, xi: Expr, c: Expr) -> tuple[Expr, Expr]:
-        on_joints, on_body = ca.SX.zeros(len(joints)), ca.SX.zeros(3)
+        on_joints, on_body = torques(u, c), ca.SX.zeros(3)
         for wheel, (load, links, shares) in (contacts("f", r, u, xi) | contacts("r", r, u, xi)).items():
-            (x, y), rim = places[wheel], wheel_radius * u[at[shafts[wheel]]]
-            force, handbrake = load * shares, c[2] * (wheel[0] == "r")
+            (x, y), force = places[wheel], load * shares
             on_body += ca.vertcat(x * force[2] - y * force[1], force[1:])
-            braking = {"f": brake_front, "r": 1 - brake_front}[wheel[0]] * c[1] + handbrake
-            on_joints[at[shafts[wheel]]] += (
-                share[wheel[0]] * c[0] / 2 + brake(braking / 2, rim) - wheel_radius * force[0]
-            )
+            on_joints[at[shafts[wheel]]] -= wheel_radius * force[0]
             for joint, arm in zip(BODY, (1.0, -x, y), strict=True):
                 on_joints[at[joint]] += arm * (load - links)
         return on_joints, on_body
@@ -203,6 +206,11 @@ def four_wheel_car(
         for wheel, shaft in shafts.items():
             rates[at[shaft]] += hub(wheel, r, xi)[0] / wheel_radius / sum(s == shaft for s in shafts.values())
         return rates
+
+    def across(r: Expr, xi: Expr) -> Expr:
+        """Sideways speeds of the axles' middles."""
+        cosine, sine = steered(r[at["sigma"]])
+        return ca.vertcat(cosine * (xi[2] + front * xi[0]) - sine * xi[1], xi[2] - rear * xi[0])
 
     def roll_channel(wheel: str) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: r[at[shafts[wheel]]])
@@ -228,6 +236,8 @@ def four_wheel_car(
         controls=CONTROLS,
         rate_controls={"steering_rate": "sigma"},
         rolling=rolling,
+        across=across,
+        torques=torques,
         attitude=BODY,
         largest_step=LARGEST_STEP,
         surface=surface,

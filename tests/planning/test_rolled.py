@@ -1,0 +1,68 @@
+"""Cars on tyres start from the motion of the same car without slip."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import vehsim
+from vehsim import Mark
+from vehsim.vehicles.definition.gripping import gripping
+
+REST = (0.0, 0.0, 0.0)
+WHEELBASE = 2.6
+
+
+def drive(x, y, heading, seconds):
+    """Marks at rest at frame 0 and after some seconds."""
+    return [
+        Mark(frame=0, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark(frame=round(24 * seconds), position=(x, y, 0), heading=heading, velocity=REST),
+    ]
+
+
+@pytest.mark.parametrize("name", ["drift_car", "rally_car"])
+def test_without_slip_axles_do_not_move_sideways_and_wheels_roll(name):
+    car = vehsim.load_vehicle(name)
+    same = gripping(car)
+    assert same.joints == car.joints and same.control_names == car.control_names
+    r, u, xi = ca.SX.sym("r", len(car.joints)), ca.SX.sym("u", len(car.joints)), ca.SX.sym("xi", 3)
+    w_r, w_xi = same.constraints(r)
+    rows = ca.Function("rows", [r, u, xi], [w_r @ u + w_xi @ xi])
+    rolling = ca.Function("rolling", [r, xi], [ca.densify(car.rolling(r, xi))])
+    for sigma in (-0.6, 0.0, 0.3):
+        joints = np.where(np.array(car.joints) == "sigma", sigma, 0.0)
+        turn = 8.0 * sigma / WHEELBASE  # of a single track whose rear axle moves straight ahead at 8 m/s
+        twist = np.array([turn, 8.0, 1.3 * turn])
+        assert np.abs(np.array(rows(joints, rolling(joints, twist), twist))).max() < 1e-12
+        aside = twist + np.array([0.0, 0.0, 1.0])
+        assert np.abs(np.array(rows(joints, rolling(joints, aside), aside))).max() > 0.5
+
+
+def test_wheels_that_never_slip_have_no_such_car():
+    assert gripping(vehsim.load_vehicle("car")) is None
+    assert gripping(vehsim.load_vehicle("boat")) is None
+
+
+@pytest.mark.parametrize(("x", "y", "heading", "seconds"), [(50, 27, -64, 14.5), (62, 19, 38, 13.4)])
+def test_marks_aside_and_turned_are_driven_normally(x, y, heading, seconds):
+    """From paths alone, these ended as a stunt after 334 iterations and as brisk after 193."""
+    plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, drive(x, y, heading, seconds))
+    assert plan.success and plan.character == "normal"
+    assert plan.iterations < 120
+    slip = max(np.abs(plan.clip.channels[f"slip_angle_{wheel}"]).max() for wheel in ("fl", "rl"))
+    assert slip < math.radians(4)
+
+
+def test_a_sharp_curve_in_little_time_is_brisk():
+    """This was not solved within minutes."""
+    plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, drive(60, 10, 90, 10))
+    assert plan.success and plan.character == "brisk" and plan.iterations < 150
+
+
+def test_a_mark_behind_is_driven_to_in_reverse():
+    plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, drive(-24.2, -6, 33, 13.8))
+    assert plan.success and plan.character == "normal"
+    assert plan.clip.twists[:, 1].max() < 0.1  # forwards, it would cost eight times as much
+    assert plan.cost < 1.0
