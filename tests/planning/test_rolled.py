@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import vehsim
-from vehsim import Mark
+from vehsim import Mark, World
 from vehsim.vehicles.definition.gripping import gripping
+from vehsim.world.obstacles.obstacles import box, cone
 
 REST = (0.0, 0.0, 0.0)
 WHEELBASE = 2.6
@@ -66,3 +67,21 @@ def test_a_mark_behind_is_driven_to_in_reverse():
     assert plan.success and plan.character == "normal"
     assert plan.clip.twists[:, 1].max() < 0.1  # forwards, it would cost eight times as much
     assert plan.cost < 1.0
+
+
+def test_a_car_on_tyres_turns_around_cones_between_houses():
+    """Without slip it took 102 iterations, more than were allowed, and with 128 segments more than 200; from paths, no
+    motion was found in minutes."""
+    houses = [
+        box("a", (14, 12, 0), (20, 12, 9)),
+        box("b", (14, -10, 0), (20, 12, 12)),
+        box("c", (44, 4, 0), (14, 40, 12)),
+    ]
+    cones = [cone("one", (26, 2, 0)), cone("two", (28, -2, 0))]
+    marks = [
+        Mark(frame=1, position=(-12, 1, 0), heading=0, velocity=REST),
+        Mark(frame="free", position=(31, 30, 0), heading=90, velocity=REST),
+    ]
+    world, car = World(obstacles=[*houses, *cones]), vehsim.load_vehicle("drift_car")
+    plan = vehsim.plan(car, world, marks, clearance=0.4, character="brisk", segments=128)
+    assert plan.success and plan.character == "brisk" and plan.iterations < 300

@@ -30,8 +30,10 @@ from vehsim.vehicles.definition.surfaces import SURFACES
 
 Array = NDArray[np.float64]
 
-ROLLING, SLIPPING = Patience(100), Patience(60, near=1e-2)
+ROLLING, SLIPPING = Patience(250), Patience(60, near=1e-2)
 """Of a solve without slip from one path, and of one with slip from there."""
+SEGMENTS = 64
+"""Largest number of segments of a motion without slip: with more, solves take more steps and fail more often."""
 GRIP = 0.9
 """The share of the friction of its surface that a stunt without slip uses."""
 
@@ -45,7 +47,7 @@ def without_slip(run: Run, request: Request, guess: InitialGuess) -> Iterate | N
     vehicle = gripping(request.vehicle)
     if vehicle is None or guess.clip is not None:
         return None
-    same = replace(request, vehicle=vehicle)
+    same = replace(request, vehicle=vehicle, segments=min(request.segments, SEGMENTS))
     if request.traits.name == STUNT:
         same = replace(same, limits=same.limits.within({"grip": GRIP * SURFACES[vehicle.surface].friction}))
     own, transcription = Run(same, run.progress, end=run.end), transcribe(same.weighed)
