@@ -34,7 +34,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):
-        cut = not request.loop and i in (0, len(marks) - 1)
+        cut = request.vehicle.attitude is not None and not request.loop and i in (0, len(marks) - 1)
         blocks.append(MarkConstraint(marks, i, closes_loop(marks, i, request.loop), cut))
         if mark.on_ground and not (i and marks[i - 1].hold):
             blocks.append(Landing(marks, i))

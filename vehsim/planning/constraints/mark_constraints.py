@@ -39,8 +39,8 @@ SPRINGS = "balance on springs"
 class MarkConstraint(Block):
     """The constraints of mark ``number`` at its knot, unless it is the end of a hold.
 
-    ``closes``: it ends a loop, and does not repeat what the first mark fixes. ``cut``: the motion begins or ends there.
-    ``price``: above zero the mark may be missed at this price per unit, see `elements.elastic`.
+    ``closes``: it ends a loop, and does not repeat what the first mark fixes. ``cut``: the motion of a body on springs
+    begins or ends there. ``price``: above zero the mark may be missed at this price per unit, see `elements.elastic`.
     """
 
     marks: Sequence[Mark]
