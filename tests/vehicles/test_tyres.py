@@ -23,6 +23,7 @@ from vehsim.vehicles import State
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.vehicles.models.drift_car import drift_car
 from vehsim.vehicles.models.tyres import Tyre
+from vehsim.world.terrain.terrain import Terrain
 
 G = 9.81
 M, IZ, LF, LR, H = 1093.2952334674046, 1791.5995300122856, 1.1561957064, 1.4227170936, 0.61373004
@@ -277,3 +278,70 @@ def test_the_remedy_of_a_slide_at_the_limit_of_grip_is_time():
     )
     assert "mark[1].frame = 1166" in _calmer(slipping)
     assert "frame" not in _calmer(rolling) and "more segments" in _calmer(rolling)
+
+
+def plane(ahead, aside):
+    """Ground that rises by ``ahead`` m per metre along x and by ``aside`` along y."""
+    x = np.arange(-40.0, 41.0)
+    heights = ahead * x[None, :] + aside * x[:, None]
+    return vehsim.World(terrain=Terrain("plane", heights, (-40.0, -40.0), (1.0, 1.0)))
+
+
+def driven(name, world, controls, seconds=3.0, speed=0.0, **parameters):
+    """Positions (n, 3) m at every frame of a car with constant ``controls`` by name, that starts with ``speed`` m/s."""
+    car = vehsim.load_vehicle(name, parameters)
+    row = np.array([controls.get(control, 0.0) for control in car.control_names])
+    positions = vehsim.simulate(car, world, row, State(twist=(0, speed, 0)), duration=seconds).positions
+    return positions[:: (len(positions) - 1) // round(24 * seconds)]
+
+
+@pytest.mark.parametrize("name", ["drift_car", "rally_car"])
+@pytest.mark.parametrize(
+    ("slope", "controls"),
+    [((0.0, 0.2), {}), ((0.2, 0.0), {"handbrake": 3000}), ((-0.12, 0.12), {"brake": 3000})],
+    ids=["across", "up", "down and across"],
+)
+def test_a_parked_car_stands_on_a_slope(name, slope, controls):
+    """A tyre that only slips crept by 28 mm/s across the slope, and brakes let it roll down at 0.35 m/s."""
+    positions = driven(name, plane(*slope), controls)
+    assert np.linalg.norm(np.ptp(positions[:, :2], axis=0)) < 2e-4
+
+
+def test_without_brakes_it_rolls_down():
+    moved = -driven("drift_car", plane(0.1, 0.0), {}, 2.0)[-1, 0]
+    wheels = (2.4 + 10.0) / 0.32**2  # kg: what their inertia adds to that of the car
+    assert moved == pytest.approx(G * 0.1 * 1350 / (1350 + wheels) * 2.0**2 / 2, rel=0.01)
+
+
+@pytest.mark.parametrize("ahead", [0.2, -0.2])
+def test_brakes_stop_it_on_a_slope_and_hold_it(ahead):
+    positions = driven("drift_car", plane(ahead, 0.1), {"brake": 3000}, 4.0, speed=4.0)
+    assert 1.0 < positions[-1, 0] < 2.5
+    assert np.abs(positions[72:] - positions[-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize("slope", [(0.0, 0.3), (0.3, 0.0)], ids=["across", "along"])
+def test_on_ice_a_steep_slope_is_too_much(slope):
+    """It slides down as its weight along the slope, less the friction of ice, accelerates it."""
+    positions = driven("drift_car", plane(*slope), {"brake": 5000, "handbrake": 5000}, 3.0, surface="ice")
+    first, second, third = np.linalg.norm(np.diff(positions[::24, :2], axis=0), axis=1)  # in each second
+    friction = [1.1739, 1.0489][slope[1] > 0] * SURFACES["ice"].friction
+    assert G * (0.3 - friction) < third - second < G * (0.3 - 0.6 * friction)  # beyond their peak, tyres hold less
+    assert first > 0.2
+
+
+def test_standing_tyres_bear_a_pull_up_to_their_grip_and_brakes():
+    pull, brakes, speed, slide = ca.SX.sym("pull", 2), ca.SX.sym("b"), ca.SX.sym("v"), ca.SX.sym("s")
+    borne = ca.Function("borne", [pull, brakes, speed, slide], [TYRE.standing(pull, brakes, speed, slide)])
+    assert np.allclose(np.ravel(borne([0.2, 0.3], 0.6, 0, 0)), [0.2, 0.3], rtol=1e-3)
+    assert np.allclose(np.ravel(borne([0.2, 0.3], 0.0, 0, 0)), [0.0, 0.3], atol=2e-4)
+    assert np.ravel(borne([0.4, 0.0], 0.1, 0, 0))[0] == pytest.approx(0.1, rel=1e-3)
+    assert np.linalg.norm(np.ravel(borne([3.0, 4.0], 9.0, 0, 0))) == pytest.approx(TYRE.peak, rel=1e-3)
+    random = np.random.default_rng(2)
+    rim = random.uniform(-2, 2, 2000)
+    velocity = random.uniform(-2, 2, (2, 2000))
+    towards, size = random.uniform(0, 2 * np.pi, 2000), random.uniform(0, 2, 2000)
+    pulls = size * np.array([np.cos(towards), np.sin(towards)])
+    held = np.array(borne.map(2000)(pulls, 9.0, (velocity**2).sum(axis=0), (rim - velocity[0]) ** 2))
+    slip = np.array(law(TYRE).map(2000)(velocity, rim)[0])
+    assert np.linalg.norm(held - slip, axis=0).max() < 1.5 * TYRE.peak  # slip takes over as what it bore fades

@@ -119,7 +119,13 @@ def _climb(run: Run, iterate: Iterate) -> tuple[Iterate, bool]:
     """The iterate on the next discretisation of the ladder, and whether it was solved there."""
     rung = iterate.rung + 1
     times, order = (LADDER[rung], ORDER) if iterate.request.refine else (1, 2)
-    return _solved_on(run, replace(iterate, rung=rung), times * iterate.request.segments, order)
+    iterate, segments = replace(iterate, rung=rung), times * iterate.request.segments
+    if rung and iterate.layout.order < order:  # refined plans were not found on fewer: from order 2 they are near
+        iterate, found = _solved_on(run, iterate, segments, 2)
+        if not found:
+            return iterate, False
+    iterate, found = _solved_on(run, iterate, segments, order)
+    return replace(iterate, note="") if found else iterate, found
 
 
 def _solved_on(run: Run, iterate: Iterate, segments: int, order: int) -> tuple[Iterate, bool]:

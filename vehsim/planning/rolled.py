@@ -21,7 +21,7 @@ from vehsim.planning.problem.solver import Patience
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import settle_on_frames
 from vehsim.planning.request.legs import cut, legs_between
-from vehsim.planning.request.request import Request
+from vehsim.planning.request.request import MOST_SEGMENTS, Request
 from vehsim.planning.restraint import restrain, restrained
 from vehsim.planning.solve import begin, solve
 from vehsim.vehicles.definition.character import STUNT
@@ -34,6 +34,9 @@ ROLLING, SLIPPING = Patience(250), Patience(60, near=1e-2)
 """Of a solve without slip from one path, and of one with slip from there."""
 SEGMENTS = 64
 """Largest number of segments of a motion without slip: with more, solves take more steps and fail more often."""
+POORER = 1.25
+"""Factor on the cost without slip above which a motion with slip is tried on more segments. Most cost a few hundredths
+more."""
 GRIP = 0.9
 """The share of the friction of its surface that a stunt without slip uses."""
 
@@ -58,8 +61,7 @@ def without_slip(run: Run, request: Request, guess: InitialGuess) -> Iterate | N
         found = [each for each in solved if each.success]
         if found:
             run.iterations += own.iterations
-            best = min(found, key=lambda each: each.solution.cost if each.solution else math.inf)
-            return settle_on_frames(own, restrain(own, best))
+            return settle_on_frames(own, restrain(own, min(found, key=_cost)))
     return None
 
 
@@ -82,8 +84,22 @@ def _choices(request: Request, guess: InitialGuess) -> Iterator[list[Sequence[Ar
 def with_slip(run: Run, begun: Iterate, rolled: Iterate) -> Iterate:
     """The motion of a car on tyres, solved from that without slip instead of its guess ``begun``; it may have failed.
 
-    It is tried within the soft limits of its character if that is, then without them.
+    It is tried within the soft limits of its character if that is, then without them; on a slope also on twice the
+    segments, because slips on long ones may end in a much poorer motion than that without slip.
     """
+    request, tried = begun.request, []
+    sloping = request.weighed is not request.vehicle
+    for times in (1, 2) if sloping and 2 * request.segments <= MOST_SEGMENTS else (1,):
+        solved = _slipping(run, replace(begun, request=replace(request, segments=times * request.segments)), rolled)
+        if solved.success and _cost(solved) <= POORER * _cost(rolled):
+            return solved
+        tried.append(solved)
+        if run.deadline.late:
+            break
+    return min(tried, key=_cost)
+
+
+def _slipping(run: Run, begun: Iterate, rolled: Iterate) -> Iterate:
     request, transcription, blocks = begun.request, begun.transcription, begun.blocks
     guess = begin(run, request, transcription, begun.cover, rolled.paths, rolled.clip, blocks=blocks, coarse=False)
     # brakes that are released within their lag need rows for their commands
@@ -96,3 +112,8 @@ def with_slip(run: Run, begun: Iterate, rolled: Iterate) -> Iterate:
         if solved.success or run.deadline.late:
             break
     return solved
+
+
+def _cost(iterate: Iterate) -> float:
+    """Its cost; infinite if it was not solved."""
+    return iterate.solution.cost if iterate.success and iterate.solution is not None else math.inf

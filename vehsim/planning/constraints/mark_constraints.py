@@ -21,7 +21,8 @@ from vehsim.planning.request.marks import Gate, Mark, end_of_hold, shape
 from vehsim.planning.terms import KnotView
 from vehsim.planning.trajectory import Trajectory
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.mechanics import acceleration, conservative_at_rest, project
+from vehsim.vehicles.definition.gripping import rolling_ahead
+from vehsim.vehicles.definition.mechanics import acceleration, conservative_at_rest, momentum, project
 
 Array = NDArray[np.float64]
 Expr = Any
@@ -229,15 +230,29 @@ def same_state(transcription: Transcription, x: Expr, c: Expr, x1: Expr, c1: Exp
 
 
 def imbalance(transcription: Transcription, x: Expr, c: Expr, everywhere: bool = False) -> Expr:
-    """Acceleration along the free velocities of a vehicle at rest, (n_z,), in the symbols of `Transcription.air` and,
-    unless ``everywhere``, of `Transcription.space`."""
+    """Acceleration along the free velocities of a vehicle at rest, (n,), in the symbols of `Transcription.air` and,
+    unless ``everywhere``, of `Transcription.space`.
+
+    Tyres at rest do not slip: only what would make them roll, or move the body on its springs, is out of balance.
+    """
     vehicle = transcription.in_air if everywhere else transcription.local_in_air[1]
     g, r, _ = transcription.split(x)
     still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
     forces = vehicle.force(g, r, *still, c * transcription.control_scale, transcription.air["wind"])
     weight = conservative_at_rest(vehicle, g, r)
     total = [a + b for a, b in zip(forces, weight, strict=True)]
-    return project(vehicle, r, *total) / transcription.momentum_scale
+    rows, rolls = project(vehicle, r, *total) / transcription.momentum_scale, rolling_ahead(vehicle, r)
+    if rolls is None:
+        return rows
+    inertia = momentum(vehicle, r, *rolls)
+    along, mass = (sum(ca.dot(*pair) for pair in zip(rolls, of, strict=True)) for of in (total, inertia))
+    return ca.vertcat(along / mass, *(rows[k] for k in _of_body(vehicle, rows)))
+
+
+def _of_body(vehicle: Vehicle, z: Expr) -> list[int]:
+    """Where a free velocity ``z`` contains the joints of a body on springs."""
+    offset = z.shape[0] - len(vehicle.dynamic)
+    return [offset + vehicle.dynamic.index(vehicle.joints.index(name)) for name in vehicle.attitude or ()]
 
 
 def _bouncing(transcription: Transcription, x: Expr, c: Expr, everywhere: bool) -> Expr:
@@ -246,16 +261,14 @@ def _bouncing(transcription: Transcription, x: Expr, c: Expr, everywhere: bool) 
     Where a motion begins or ends at speed, these joints are free: the springs would be wound up there to save effort.
     """
     vehicle = transcription.in_air if everywhere else transcription.local_in_air[1]
-    body = [vehicle.joints.index(name) for name in vehicle.attitude or ()]
-    if not body:
+    if not vehicle.attitude:
         return ca.SX(0, 1)
     g, r, pi = transcription.split(x)
     controls, constant = c * transcription.control_scale, ca.SX.zeros(c.shape[0])
     z = transcription.mechanics.knot_velocity_guess(r, pi, controls)
     rates = acceleration(vehicle, g, r, z, controls, constant, transcription.air["wind"])
-    offset = z.shape[0] - len(vehicle.dynamic)
-    of_body = [offset + vehicle.dynamic.index(k) for k in body]
-    return ca.vertcat(*(z[k] for k in of_body), *(rates[k] for k in of_body))
+    body = _of_body(vehicle, z)
+    return ca.vertcat(*(z[k] for k in body), *(rates[k] for k in body))
 
 
 def _equal(expression: Expr, slack: float = 0.0) -> list[Row]:

@@ -90,6 +90,10 @@ class Definition:
     """Joints (s,) and body twist (d,) -> the speeds (m,) at which its axles move sideways, m/s: zero without slip."""
     torques: Callable[[Expr, Expr], Expr] | None = None
     """Joint rates (s,) and controls (c,) -> what engine and brakes exert on the joints (s,), if its wheels may slip."""
+    standing: Callable[[Expr, Expr, Expr, Expr, Expr], Expr] | None = None
+    """Joints (s,), their rates (s,), body twist (d,), controls (c,) and the force of its weight along a slope, a wrench
+    on the body (d,) -> what its tyres bear of that near standstill (d,), if its wheels may slip: slip holds nothing at
+    rest."""
     attitude: tuple[str, str, str] | None = None
     """Joints that are the body's heave [m], pitch (nose down) and roll (left side up) [rad] on its own springs; None:
     the springs of its rig move it on a terrain, see `vehsim.world.ground`."""

@@ -13,6 +13,18 @@ from vehsim.vehicles.definition.nonholonomic import Nonholonomic
 from vehsim.vehicles.definition.vehicle import Vehicle
 
 
+def rolling_ahead(vehicle: Vehicle, r: Expr) -> tuple[Expr, Expr] | None:
+    """The joint rates (s,) and body twist (3,) of a vehicle on tyres at 1 m/s ahead without slip, where its joints have
+    the values ``r`` (s,); None for others."""
+    if vehicle.rolling is None or vehicle.across is None:
+        return None
+    xi = ca.SX.sym("xi", vehicle.group.dim)
+    sideways = ca.jacobian(vehicle.across(r, xi), xi)
+    turn, aside = ca.vertsplit(-ca.solve(sideways[:, [0, 2]], sideways[:, 1]))
+    ahead = ca.vertcat(turn, 1, aside)
+    return vehicle.rolling(r, ahead), ahead
+
+
 @lru_cache(maxsize=16)
 def gripping(vehicle: Vehicle) -> Nonholonomic | None:
     """A vehicle on tyres without slip, with the same joints and controls; None for others, whose wheels never slip.
@@ -48,6 +60,7 @@ def gripping(vehicle: Vehicle) -> Nonholonomic | None:
         rolling=None,
         across=None,
         torques=None,
+        standing=None,
         attitude=None,
         channels={},
         default_costs={},

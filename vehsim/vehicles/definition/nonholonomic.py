@@ -21,6 +21,7 @@ from vehsim.vehicles.definition.mechanics import (
     answered,
     closed,
     column,
+    conservative,
     free_velocity,
     law,
     matrix,
@@ -178,10 +179,13 @@ class Nonholonomic(Vehicle):
         s, d = len(self.joints), self.group.dim
         if self.forces is None:
             return ca.SX(s, 1), ca.SX(d, 1)
-        known = r, u, self.group.velocity_to_body(g, xi), c
+        twist = self.group.velocity_to_body(g, xi)
+        known = r, u, twist, c
         given = answered(self, "forces", self.forces, *known)
         joint, body = given if isinstance(given, tuple) and len(given) == 2 else (given, ca.SX(d, 1))
         on_joints, on_body = (column(self, "forces", size, part, *known) for size, part in ((s, joint), (d, body)))
+        if self.standing is not None and self.potential_energy is not None:
+            on_body -= self.standing(*known, conservative(self, g, r)[1])
         return on_joints, self.group.wrench_from_body(g, on_body)
 
     def potential(self, g: Expr, r: Expr) -> Expr:

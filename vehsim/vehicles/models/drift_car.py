@@ -130,6 +130,12 @@ def drift_car(
     def across(r: Expr, xi: Expr) -> Expr:
         return ca.vertcat(*(hub[1] for hub in velocities(r, xi)))
 
+    def standing(r: Expr, u: Expr, xi: Expr, c: Expr, pull: Expr) -> Expr:
+        weight, speed = mass * GRAVITY, xi[1] ** 2 + xi[2] ** 2 + (wheelbase * xi[0]) ** 2
+        slide = ca.sumsqr((u - rolling(r, xi))[[0, 2]] * wheel_radius)
+        brakes = (c[1] + c[2]) / wheel_radius
+        return ca.vertcat(0, weight * tyre.standing(pull[1:] / weight, brakes / weight, speed, slide))
+
     def slip(axle: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: sliding(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]]))
 
@@ -157,6 +163,7 @@ def drift_car(
         rolling=rolling,
         across=across,
         torques=torques,
+        standing=standing,
         largest_step=LARGEST_STEP,
         surface=surface,
         default_costs={"spin": SPIN},

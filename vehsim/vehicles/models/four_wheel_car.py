@@ -212,6 +212,12 @@ def four_wheel_car(
         cosine, sine = steered(r[at["sigma"]])
         return ca.vertcat(cosine * (xi[2] + front * xi[0]) - sine * xi[1], xi[2] - rear * xi[0])
 
+    def standing(r: Expr, u: Expr, xi: Expr, c: Expr, pull: Expr) -> Expr:
+        weight, speed = mass * GRAVITY, xi[1] ** 2 + xi[2] ** 2 + (wheelbase * xi[0]) ** 2
+        slide = ca.sumsqr((u - rolling(r, xi))[[at[shaft] for shaft in dict.fromkeys(shafts.values())]] * wheel_radius)
+        brakes = (c[1] + c[2]) / wheel_radius
+        return ca.vertcat(0, weight * tyre.standing(pull[1:] / weight, brakes / weight, speed, slide))
+
     def roll_channel(wheel: str) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: r[at[shafts[wheel]]])
 
@@ -238,6 +244,7 @@ def four_wheel_car(
         rolling=rolling,
         across=across,
         torques=torques,
+        standing=standing,
         attitude=BODY,
         largest_step=LARGEST_STEP,
         surface=surface,

@@ -4,7 +4,7 @@ H. B. Pacejka, Tire and Vehicle Dynamics (2012), section 4.3 (PAC2002): pure sli
 by the cosine weights of eq. 4.E50 and 4.E58. Three things differ, so that the law holds at every speed and direction:
 
 - A tyre is symmetric (no shifts), as the left and right tyres of an axle are together.
-- Slips are speeds over ``sqrt(v_x^2 + v_0^2)``. Below ``v_0`` the tyre acts as a damper; its force at rest is zero.
+- Slips are speeds over ``sqrt(v_x^2 + v_0^2)``. Below ``v_0`` the tyre acts as a damper, with `Tyre.standing` for rest.
 - Beyond 25 degrees, where weights were not fitted, they fall below zero; their smooth positive part is used, so that no
   force ever acts along its own slip.
 """
@@ -45,11 +45,15 @@ CONTROLS = (
     Control("steering_rate", unit="1/s"),
 )
 """The controls of a car whose tyres slip."""
+LEAST = 1e-4
+"""Force over weight with which a car without brakes holds itself on a slope."""
 BRAKING = 1.0
 """Speed of a rim, m/s, below which its brake's torque fades, so that it is smooth at standstill: a handbrake of 8000
 N m brakes wheels to 0.3 m/s."""
 SPIN = 1e-3
 """Weight of the cost of spin in plans: on their long steps, a wheel's fast decay would alternate from knot to knot."""
+ROUNDING = 8
+"""Power with which the most that friction can bear is rounded: at half of it, 0.05 % are missing."""
 LEANING = 1e-3
 """Camber, rad, over which the force of a tyre that only knows to which side it leans changes its sign."""
 ROUND = 0.05
@@ -104,6 +108,20 @@ class Tyre:
             aside -= most * ca.cos(ca.atan(narrowing * angle)) * ca.sin(shape * ca.atan(slope * slip))
         return ca.vertcat(along, -aside)
 
+    def standing(self, pull: Expr, brakes: Expr, speed: Expr, slide: Expr) -> Expr:
+        """What standing tyres bear of a ``pull`` (2,) forward and left: all of it to the side, and along the car what
+        its ``brakes`` hold; all over the load, and at most the peak friction.
+
+        Slip and brakes alone hold nothing at rest. As in D. Karnopp, Computer simulation of stick-slip friction in
+        mechanical dynamic systems (1985), friction equals the pull there. Here it fades smoothly where they take over,
+        so slowly that a car which they can stop does not creep: with the ``speed`` of the car, and along it with that
+        at which its wheels ``slide``; both squared, m^2/s^2.
+        """
+        slipping = (self.low_speed * self.peak / (self.stiffness * self.lateral[3])) ** 2
+        held = pull * ca.vertcat(_share(pull[0] ** 2, brakes), 1)
+        fading = ca.vertcat((1 + speed / BRAKING**2) * (1 + slide / slipping), 1 + speed / slipping)
+        return held * _share(ca.sumsqr(held), self.peak) / fading
+
     @property
     def peak(self) -> float:
         """Greatest force over load in any direction."""
@@ -128,6 +146,12 @@ def _weight(other: Expr, own: Expr, coefficients: Sequence[float]) -> Expr:
     steepness = narrow / ca.sqrt(1 + (widening * own) ** 2)
     cosine = ca.cos(shape * _bent(steepness * other, curvature))
     return (cosine + ca.sqrt(cosine**2 + ROUND**2)) / 2
+
+
+def _share(squared_force: Expr, most: Expr) -> Expr:
+    """How much of a force is borne, if at most ``most`` can be."""
+    most = ca.sqrt(most**2 + LEAST**2)
+    return most / (most**ROUNDING + squared_force ** (ROUNDING // 2)) ** (1 / ROUNDING)
 
 
 def _bent(x: Expr, curvature: float) -> Expr:
