@@ -48,9 +48,6 @@ if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
     from vehsim.clip.clip import Clip
 
-
-PATTERN = 40.0
-"""The flat ground's pattern repeats after this, m."""
 LAYERS = {"exact": "{}.anim.usdc", "thinned": "{}.thinned.usdc", "curves": "{}.curves.usda"}
 """Form of a vehicle's motion -> its layer. Splines are text: few numbers, and a binary layer of its own version."""
 
@@ -250,21 +247,16 @@ def author_bounds(prim: Any, frames: tuple[int, int]) -> None:
 
 
 def _author_terrain(stage: Any, scope: str, take: Take, pack: Pack, shot: Path) -> None:
-    """Reference the terrain's look, or a ground authored from its heights if it has none.
-
-    Vehicles that roll without a terrain would seem to float in pictures: level ground is shown below them.
-    """
+    """Reference the terrain's look, or a ground authored from its heights if it has none."""
     from pxr import Kind, UsdGeom
 
-    from vehsim.exporters.usd.scenery.ground import write_ground
+    from vehsim.exporters.usd.scenery.ground import level_ground, write_ground
     from vehsim.world.terrain.terrain import Terrain
 
     terrain, name = take.world.terrain, "terrain"
-    rolling = [clip for clip in take.clips.values() if clip.vehicle.rolls]
-    middle = np.zeros(2)
-    if terrain is None and take.world.water is None and rolling:
+    middle = level_ground(take)
+    if middle is not None:
         terrain, name = Terrain.load("flat"), "ground"
-        middle = PATTERN * np.round(np.mean([np.mean(clip.positions[:, :2], 0) for clip in rolling], 0) / PATTERN)
     if terrain is None:
         return
     if terrain.look is not None:
@@ -274,7 +266,7 @@ def _author_terrain(stage: Any, scope: str, take: Take, pack: Pack, shot: Path) 
         pack.written.extend(files)
     xform = UsdGeom.Xform.Define(stage, f"{scope}/{name}")
     xform.GetPrim().GetPayloads().AddPayload(pack.relative(asset, shot))
-    if middle.any():
+    if middle is not None and middle.any():
         xform.AddTranslateOp().Set((*middle.tolist(), 0.0))
     author_bounds(xform.GetPrim(), take.frames)
     correct_units(xform, asset)

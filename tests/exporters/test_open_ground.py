@@ -21,7 +21,8 @@ FRAMES, SIZE = (1001, 1003), (320, 180)
 
 def stage_of(folder, vehicle, place=(0.0, 0.0, 0.0), **world):
     start = State(position=place)
-    clip = vehsim.simulate(vehsim.load_vehicle(vehicle), World(**world), start=start, duration=0.1)
+    vehicle = vehsim.load_vehicle(vehicle) if isinstance(vehicle, str) else vehicle
+    clip = vehsim.simulate(vehicle, World(**world), start=start, duration=0.1)
     camera = solve_camera(CameraRig(), {"it": clip}, World(**world), FRAMES, SIZE[0] / SIZE[1])
     settings = RenderSettings(size=SIZE, mood="noon")
     take = Take("shot", {"it": clip}, World(**world), (camera,), Fraction(24), FRAMES, settings)
@@ -43,6 +44,30 @@ def test_level_ground_is_shown_below_what_rolls(vehicle, place, tmp_path):
 def test_what_flies_or_floats_has_no_ground(vehicle, world, tmp_path):
     stage = stage_of(tmp_path, vehicle, (0.0, 0.0, 9.0) if vehicle == "helicopter" else (0.0, 0.0, 0.0), **world)
     assert not [shape.name for shape in stage.shapes if "/env/ground" in shape.name]
+
+
+@pytest.mark.parametrize(
+    ("bottom", "height", "world", "shown"),
+    [
+        (0.0, 20.0, {}, True),
+        (0.05, 20.0, {}, True),  # it stands on the ground as well as somebody placed it
+        (12.0, 20.0, {}, False),  # it hangs in the air
+        (0.0, -5.0, {}, False),  # the flight passes below z = 0
+        (0.0, 20.0, {"water": 0.0}, False),
+    ],
+)
+def test_obstacles_that_a_flight_passes_stand_on_ground(bottom, height, world, shown, tmp_path):
+    """Towers on z = 0 hung in a void."""
+    tower = box("tower", (9.0, 9.0, bottom), (4.0, 4.0, 15.0))
+    stage = stage_of(tmp_path, "helicopter", (0.0, 0.0, height), obstacles=[tower], **world)
+    assert any("/env/ground" in shape.name for shape in stage.shapes) == shown
+
+
+def test_a_boat_among_pontoons_has_no_ground(tmp_path):
+    pontoon = box("pontoon", (9.0, 9.0, 0.0), (4.0, 4.0, 1.0))
+    boat = vehsim.load_vehicle("boat").planar
+    shapes = stage_of(tmp_path, boat, obstacles=[pontoon]).shapes
+    assert not any("/env/ground" in shape.name for shape in shapes)
 
 
 def test_a_terrain_replaces_the_level_ground(tmp_path):

@@ -985,6 +985,27 @@ def test_a_livery_the_light_and_tyre_marks_need_a_new_scene():
     assert not kinematics.can_show(take)
 
 
+def test_a_flight_that_no_longer_shows_its_ground_needs_a_new_scene():
+    """Dragged below z = 0, a flight past a tower would have the ground above it."""
+    from vehsim.exporters.web.scene import Kinematics
+
+    def solved(height):
+        motion = {"method": "simulate", "duration": 0.2, "start": {"position": [0, 0, height]}}
+        tower = {"shape": "box", "name": "tower", "centre": [30, 0, 0], "size": [5, 5, 30]}
+        vehicle = {"name": "heli", "asset": "helicopter", "motion": motion}
+        shot = {"schema": 1, "name": "low", "end_frame": 1005}
+        return Shot.from_dict({"shot": shot, "world": {"obstacle": [tower]}, "vehicle": [vehicle]}).solve()
+
+    class Stage:
+        groups, tyre_marks, origin = (), (), np.zeros(3)
+
+        def matrices(self, frame):
+            return np.zeros((0, 4, 4))
+
+    kinematics = Kinematics(solved(20.0), Stage())
+    assert kinematics.can_show(solved(15.0)) and not kinematics.can_show(solved(-15.0))
+
+
 def test_a_drag_is_in_the_character_of_the_solved_motion(tmp_path):
     """Marks that leave too little time for the requested character: the draft begins where the plan is."""
     path = tmp_path / "hurried.toml"

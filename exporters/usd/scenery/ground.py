@@ -20,6 +20,7 @@ from vehsim.runtime.cache import kept
 from vehsim.runtime.code import code
 
 if TYPE_CHECKING:
+    from vehsim.delivery.take import Take
     from vehsim.world.terrain.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -37,6 +38,29 @@ STONE_CONTRAST = 0.12
 SAND = ((0.36, 0.28, 0.19), (0.42, 0.33, 0.23))
 ROCK = ((0.24, 0.17, 0.12), (0.33, 0.24, 0.17))
 """Linear colours at the lowest and the highest point."""
+PATTERN = 40.0
+"""The pattern of the shipped terrain ``flat`` repeats after this, m."""
+STANDING = 0.1
+"""Without a terrain, an obstacle stands on level ground if its bottom is this near to z = 0, m."""
+
+
+def level_ground(take: Take) -> Array | None:
+    """The middle (2,) m of the level ground at z = 0 that a shot without a terrain shows; None if it shows none.
+
+    Without it, vehicles that roll would seem to float in pictures, and so would towers that flights pass. Boats have
+    none, nor has what flies over water, below z = 0, or past nothing that stands at z = 0.
+    """
+    clips, world = take.clips.values(), take.world
+    if world.terrain is not None or world.water is not None:
+        return None
+    shown = [clip for clip in clips if clip.vehicle.rolls]
+    if not shown and any(not thing.moves and abs(thing.bottom) <= STANDING for thing in world.obstacles):
+        flights = all(clip.vehicle.group.dim == 6 and clip.vehicle.hull is None for clip in clips)
+        above = all(clip.positions[:, 2].min() >= -STANDING for clip in clips)
+        shown = [*clips] if flights and above else []
+    if not shown:
+        return None
+    return np.asarray(PATTERN * np.round(np.mean([np.mean(clip.positions[:, :2], 0) for clip in shown], 0) / PATTERN))
 
 
 def write_ground(terrain: Terrain, folder: Path) -> tuple[Path, list[Path]]:
