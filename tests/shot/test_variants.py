@@ -41,6 +41,15 @@ def test_chosen_livery_is_what_the_stage_shows(tmp_path, variants, livery):
     assert not UsdValidation.ValidationContext(validators).Validate(stage)
 
 
+@pytest.mark.parametrize("world", ["", "[world.water]\nlevel = 0\n"])
+def test_a_boat_shows_its_livery_in_the_plane_and_in_water(tmp_path, world):
+    path = tmp_path / "parked.toml"
+    path.write_text(SHOT.replace("two_wheeled", "boat").replace("{variants}", '{ livery = "red" }') + world)
+    folder = Shot.load(path).solve().export(tmp_path / "out")
+    stage = Usd.Stage.Open(str(folder / "parked.usda"))
+    assert stage.GetPrimAtPath("/parked/vehicles/robot").GetVariantSet("livery").GetVariantSelection() == "red"
+
+
 @pytest.mark.parametrize(
     ("variants", "key", "remedy"),
     [

@@ -180,10 +180,7 @@ class Shot:
         key = table.name, table.asset, repr(table.parameters), repr(table.variants)
         if key not in self._vehicles:
             vehicle = load_vehicle(self._asset(table.asset), table.parameters)
-            if table.variants and vehicle.rig is not None:
-                variants = {**vehicle.rig.variants, **table.variants}
-                vehicle = replace(vehicle, rig=replace(vehicle.rig, variants=variants))
-            self._vehicles[key] = vehicle
+            self._vehicles[key] = _showing(table.variants, vehicle) if table.variants else vehicle
         return self._vehicles[key]
 
     @cached_property
@@ -725,6 +722,13 @@ class Shot:
             shown = within(self.cuts, *frames)
             cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, shown))
         return tuple(cameras)
+
+
+def _showing(variants: Mapping[str, str], vehicle: Vehicle) -> Vehicle:
+    """A vehicle, also where it moves in the plane, with these ``variants`` of its asset."""
+    planar = None if vehicle.planar is None else _showing(variants, vehicle.planar)
+    rig = vehicle.rig and replace(vehicle.rig, variants={**vehicle.rig.variants, **variants})
+    return replace(vehicle, rig=rig, planar=planar)
 
 
 def _place(problem: Problem, source: str, lines: Mapping[str, int]) -> Problem:
