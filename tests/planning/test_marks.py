@@ -6,9 +6,10 @@ import pytest
 import vehsim
 from vehsim import Mark
 from vehsim.errors import InputError
-from vehsim.lie.quaternions import rotate
+from vehsim.lie.quaternions import rotate, yaw_of
 from vehsim.planning import Gate, look_at, stay
 from vehsim.planning.request.marks import check_marks, with_breaks
+from vehsim.world.obstacles.obstacles import ellipse
 
 REST = (0.0, 0.0, 0.0)
 
@@ -123,6 +124,17 @@ def test_a_loop_ends_as_it_begins(car):
     assert abs(clip.joints[-1, 0] - clip.joints[0, 0]) > 10
     frames = clip.resample()
     np.testing.assert_allclose(frames.positions[-1], frames.positions[0], atol=1e-6)
+
+
+def test_a_loop_leads_around_what_is_inside_it(car):
+    """The last mark has no place of its own: paths among obstacles ended at the one before."""
+    pond = ellipse("pond", (0, 0), (18, 9))
+    marks = [Mark(1, position=(0, -15, 0), heading=0, speed=6), Mark("free", position=(0, 15, 0), heading=180)]
+    plan = vehsim.plan(car, vehsim.World(obstacles=[pond]), [*marks, Mark("free")], loop=True, refine=False)
+    assert plan.success
+    np.testing.assert_allclose(plan.clip.positions[-1], plan.clip.positions[0], atol=1e-6)
+    yaw = np.unwrap(yaw_of(plan.clip.orientations))
+    assert yaw[-1] - yaw[0] == pytest.approx(2 * np.pi, abs=1e-6)
 
 
 def test_a_loop_with_other_ends_is_refused(car):

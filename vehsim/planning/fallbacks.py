@@ -35,7 +35,7 @@ tried on `LEAST` per leg."""
 def enough_segments(request: Request) -> int:
     """The least number of segments for a plan of these marks."""
     few = LEAST * (len(request.marks) - 1) if request.segments < FEWEST else 0
-    length = sum(map(path_length, map(np.array, legs_between(request.marks))))
+    length = sum(map(path_length, map(np.array, legs_between(request.stops))))
     return min(max(few, fewest_segments(request.vehicle, length)), MOST_SEGMENTS)
 
 
@@ -148,5 +148,5 @@ def _other_paths(iterate: Iterate, guess: InitialGuess, wariness: int, bend: flo
         return [bent(path, bend) for path in guess.paths]
     if guess.given:
         return guess.paths
-    kept = [request.marks[i] for i in placed_marks(request.marks)]
-    return divided(drive(replace(request, marks=kept), obstacles.parts, wariness), request.marks)
+    kept = [request.stops[i] for i in placed_marks(request.stops)]
+    return divided(drive(replace(request, marks=kept), obstacles.parts, wariness), request.stops)

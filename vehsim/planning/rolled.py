@@ -68,7 +68,7 @@ def without_slip(run: Run, request: Request, guess: InitialGuess) -> Iterate | N
 def _choices(request: Request, guess: InitialGuess) -> Iterator[list[Sequence[Array]]]:
     """Paths of which the best is taken, and others if none leads to a motion: first forwards, straight where they are
     bent for tyres, and in reverse if a nose points away; then backwards, and by turns."""
-    paths, legs = guess.paths, legs_between(request.marks)
+    paths, legs = guess.paths, legs_between(request.stops)
     if guess.given:
         yield [paths]
         return

@@ -59,14 +59,14 @@ def find_paths(request: Request, guess: Any, progress: Progress) -> list[Array]:
         points = poses_of(guess) if isinstance(guess, Clip) else np.asarray(guess, float)
         if points.ndim != 2 or points.shape[1] not in (3, 4) or len(points) < 2:
             raise InputError(f"shape {points.shape}", "give a Clip, or a path of (k, 3) points in metres", key="guess")
-        return cut(points, legs_between(request.marks))
-    kept = [request.marks[i] for i in placed_marks(request.marks)]
+        return cut(points, legs_between(request.stops))
+    kept = [request.stops[i] for i in placed_marks(request.stops)]
     if not request.hazards:
         parts = parts_in_reach(request.vehicle, request.world, request.marks, request.clearance)
         if not parts:
             return curved(request)
         progress("searching for a path among obstacles", 0.0)
-        return divided(drive(replace(request, marks=kept), parts), request.marks)
+        return divided(drive(replace(request, marks=kept), parts), request.stops)
     return (
         _flown(request, kept, progress)
         if request.world.standing or request.world.terrain is not None
@@ -101,18 +101,18 @@ def _flown(request: Request, kept: Sequence[Mark], progress: Progress) -> list[A
     if found is None and wider:
         found = _searched(request, kept, progress, tight, wider[0])
     found = shortened(found, tight - spacing)
-    return divided(found or _routes(request, kept, progress, tight, [near, *wider][-1]), request.marks)
+    return divided(found or _routes(request, kept, progress, tight, [near, *wider][-1]), request.stops)
 
 
 def around(request: Request, paths: Sequence[Array]) -> list[Array]:
     """Routes with room for the vehicle at every attitude, where ``paths`` lead through narrower places; else none."""
     if not request.hazards:
         return []
-    kept, (_, roomy, _) = [request.marks[i] for i in placed_marks(request.marks)], balls(request.vehicle)
+    kept, (_, roomy, _) = [request.stops[i] for i in placed_marks(request.stops)], balls(request.vehicle)
     for box in search_boxes(request):
         found = _searched(request, kept, silent, roomy, box)
         if found is not None:
-            wide = divided(found, request.marks)
+            wide = divided(found, request.stops)
             return [] if math.isclose(_length(wide), _length(paths)) else wide
     return []
 
@@ -168,7 +168,7 @@ def _length(paths: Sequence[Array]) -> float:
 
 def straight(request: Request) -> list[Array]:
     """A straight path for every leg."""
-    return round_trip(request.marks) if request.loop else [np.array(leg) for leg in legs_between(request.marks)]
+    return round_trip(request.stops) if request.loop else [np.array(leg) for leg in legs_between(request.stops)]
 
 
 def curved(request: Request) -> list[Array]:
@@ -237,14 +237,14 @@ def shunting(request: Request, paths: Sequence[Array]) -> list[Array]:
     it has no such circle, or if the paths are such poses already."""
     if not _drives(request.vehicle) or turning_radius(request.vehicle) == 0 or any(p.shape[1] > 3 for p in paths):
         return []
-    vehicle, kept = request.vehicle, [request.marks[i] for i in placed_marks(request.marks)]
+    vehicle, kept = request.vehicle, [request.stops[i] for i in placed_marks(request.stops)]
     nose, driven = [heading_of(mark) for mark in kept], []
     for j, leg in enumerate(legs_between(kept)):
         start, end = np.array(leg, float)
         before = end - _approach(kept[j + 1], RUN_UP * turning_radius(vehicle))
         path = guess_drive(vehicle, [], np.array([start, before]), (nose[j], nose[j + 1]), 0.0)
         driven.append(path if np.allclose(before, end) else np.vstack([path, [*end, path[-1, 3]]]))
-    return divided(driven, request.marks)
+    return divided(driven, request.stops)
 
 
 def _approach(mark: Mark, length: float) -> Array:

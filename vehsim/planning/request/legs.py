@@ -115,11 +115,17 @@ def divided(paths: Sequence[Array], marks: Sequence[Mark]) -> list[Array]:
     return legs
 
 
+def closed(marks: Sequence[Mark]) -> list[Mark]:
+    """The marks of a loop, the last one where the first one is: paths lead back to it."""
+    kept = ("position", "heading", "orientation", "velocity", "speed")
+    return [*marks[:-1], replace(marks[-1], **{key: getattr(marks[0], key) for key in kept})]
+
+
 def round_trip(marks: Sequence[Mark]) -> list[Array]:
-    """Paths (k, 3) m of all legs along one smooth closed curve that starts and ends at the first mark."""
+    """Paths (k, 3) m of all legs along one smooth closed curve; ``marks``: those of a loop, as of `closed`."""
     from scipy.interpolate import CubicSpline
 
-    points = mark_positions([*marks[:-1], replace(marks[-1], position=marks[0].position)])
+    points = mark_positions(marks)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if len(points) < 4 or steps.min() < 1e-6:
         return [np.array(leg) for leg in pairwise(points)]

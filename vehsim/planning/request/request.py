@@ -19,7 +19,7 @@ from vehsim.lie import SO3
 from vehsim.planning.problem.solver import check_solver
 from vehsim.planning.request.character import NO_TRAITS, Traits, traits_of
 from vehsim.planning.request.landing import attitude, descent, landings
-from vehsim.planning.request.legs import knots_within, mark_positions
+from vehsim.planning.request.legs import closed, knots_within, mark_positions
 from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, heading_of, with_breaks
 from vehsim.planning.request.marks_near_obstacles import at_level, check_marks_clear
 from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits, check_terms, cost_weights
@@ -117,6 +117,11 @@ class Request:
         given = math.isfinite(self.limits.get("speed"))
         own = f"and the {self.vehicle.name} reaches {self.top_speed:g}; limits.speed can allow more"
         return f"limit {self.top_speed:g}" if given else own
+
+    @property
+    def stops(self) -> Sequence[Mark]:
+        """The marks between which paths are searched: a loop leads back to its first one."""
+        return closed(self.marks) if self.loop else self.marks
 
     @property
     def weighed(self) -> Vehicle:
