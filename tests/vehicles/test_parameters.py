@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Iterator
@@ -322,3 +323,47 @@ def test_a_sweep_over_a_parameter_is_in_its_reports(tmp_path: Path) -> None:
     reports = [json.loads(path.read_text()) for path in sorted((tmp_path / "out").glob("*/report.json"))]
     found = [report["vehicles"]["car"]["parameters"] for report in reports]
     assert found == [{"mass": 1200, "top_speed": 40}, {"mass": 1600, "top_speed": 40}]
+
+
+def test_every_number_of_a_character_can_be_replaced_on_its_own() -> None:
+    """In the table of ``vehicle.toml``, with what it does not give as before."""
+    car, kinds = load_vehicle("car").character, ("costs", "limits", "control_rates", "review")
+    numbers = [("response", ""), *((each, name) for each in kinds for name in getattr(car, each))]
+    for kind, name in numbers:
+        trait = getattr(car, kind)[name] if name else car.response
+        for driven_as in ("calm", "normal", "brisk"):
+            row = {driven_as: 0.9 * trait.of(driven_as)}
+            other = load_vehicle("car", {"character": {kind: {name: row} if name else row}}).character
+            after = getattr(other, kind)[name] if name else other.response
+            assert after == dataclasses.replace(trait, **row, source="given as a parameter")
+            same = {each: getattr(other, each) for each in ("response", *kinds) if each != kind}
+            assert same == {each: getattr(car, each) for each in same}
+
+
+@pytest.mark.parametrize(
+    ("character", "key", "remedy"),
+    [
+        ({"limits": {"bank": {"normal": 0.1}}}, "parameters.character.limits.bank", "give calm, brisk too"),
+        ({"control_rates": {"torqe": {"normal": 9.0}}}, "character.control_rates.torqe", "torque"),
+        ({"response": {"normal": -1.0}}, "parameters.character.response.normal", "normally"),
+        ({"review": {"jrk": {"normal": 4.0}}}, "parameters.character.review.jrk", "jerk"),
+    ],
+)
+def test_wrong_numbers_of_a_character_are_named(character: Any, key: str, remedy: str) -> None:
+    with pytest.raises(InputError) as raised:
+        load_vehicle("car", {"character": character})
+    (problem,) = raised.value.problems
+    assert key in problem.key and remedy in problem.remedy
+
+
+def test_a_plan_keeps_the_numbers_of_a_character_that_a_shot_replaces(tmp_path: Path) -> None:
+    rest = (0.0, 0.0, 0.0)
+    marks = [vehsim.Mark(1, position=rest, velocity=rest), vehsim.Mark(289, position=(30, 0, 0), velocity=rest)]
+
+    def rate(parameters: Any) -> float:
+        car = load_vehicle("car", parameters)
+        clip = vehsim.plan(car, None, marks, segments=24, refine=False).clip
+        return float(np.abs(np.diff(clip.controls[:, 0]) / np.diff(clip.times)).max())
+
+    most = 0.8 * rate({})
+    assert rate({"character": {"control_rates": {"torque": {"normal": most}}}}) < 1.05 * most

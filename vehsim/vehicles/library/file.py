@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from annotated_types import Len
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -123,6 +123,9 @@ class SuspensionTable(Table):
     """a height, in m"""
 
 
+Row = TypeVar("Row")
+
+
 class TraitTable(Table):
     """A quantity of ``[character]``."""
 
@@ -136,18 +139,31 @@ class TraitTable(Table):
     """the source of the numbers"""
 
 
-class CharacterTable(Table):
-    """``[character]``"""
+class ReplacedTrait(Table):
+    """Numbers in place of those of a quantity of ``[character]``."""
 
-    response: TraitTable | None = None
+    calm: Positive | None = None
+    """its value when driven calmly"""
+    normal: Positive | None = None
+    """its value when driven normally"""
+    brisk: Positive | None = None
+    """its value when driven briskly"""
+    source: Text | None = None
+    """the source of the numbers"""
+
+
+class CharacterTable(Table, Generic[Row]):
+    """``[character]``; a ``Row`` is a `TraitTable`, or a `ReplacedTrait` where it replaces numbers."""
+
+    response: Row | None = None
     """the response time of the controls, s"""
-    costs: dict[str, TraitTable] = Field(default={})
+    costs: dict[str, Row] = Field(default={})
     """weights of costs of plans by name, beside 1 for effort"""
-    limits: dict[str, TraitTable] = Field(default={})
+    limits: dict[str, Row] = Field(default={})
     """limits of plans by name, in SI units"""
-    control_rates: dict[str, TraitTable] = Field(default={})
+    control_rates: dict[str, Row] = Field(default={})
     """the greatest rates of controls by name, in their units per second"""
-    review: dict[Reviewed, TraitTable] = Field(default={})
+    review: dict[Reviewed, Row] = Field(default={})
     """what a review compares besides: jerk, slip, saturation, reversals, settling, ease and power, in SI units"""
 
 
@@ -188,7 +204,7 @@ class VehicleFile(Table):
     """tables of joints with lower and upper"""
     channels: dict[str, ChannelTable] = Field(default={})
     """tables of channels with prim, op, pivot, factor and disc"""
-    character: CharacterTable = CharacterTable()
+    character: CharacterTable[TraitTable] = CharacterTable()
     """how it is driven: a table with response, costs, limits, control_rates and review"""
     suspension: SuspensionTable = SuspensionTable()
     """a table with frequency, damping and mass_height"""

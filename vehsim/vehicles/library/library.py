@@ -87,9 +87,8 @@ def load_vehicle(name: str | Path, parameters: Mapping[str, Any] | None = None) 
     """A shipped vehicle by name, or the vehicle in a folder with a ``vehicle.toml``.
 
     ``parameters`` replace numbers of the file: those of ``[physics]`` by their names, such as ``{"mass": 1500.0}``, and
-    tables ``controls``, ``actuators``, ``joints`` and ``suspension``, ``top_speed`` and ``top_turn_rate`` as they stand
-    in the file;
-    SI units.
+    tables ``controls``, ``actuators``, ``joints``, ``character`` and ``suspension``, ``top_speed`` and
+    ``top_turn_rate`` as they stand in the file, each number on its own; SI units.
     Raises ``InputError`` naming file, key, value and the fix.
     """
     path = _file(name)
@@ -263,11 +262,22 @@ def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tu
 
 def _character(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> Character:
     _known(path, "character.control_rates.", table.get("control_rates", {}), set(vehicle.control_names))
-    kinds = ("costs", "limits", "control_rates", "review")
-    traits = {key: {name: Trait(**row) for name, row in table.get(key, {}).items()} for key in kinds}
-    traits["review"] = {**vehicle.character.review, **traits["review"]}
-    response = Trait(**table["response"]) if table.get("response") else vehicle.character.response
-    return replace(vehicle.character, response=response, **traits)
+    own, traits = vehicle.character, {}
+    for kind in ("costs", "limits", "control_rates", "review"):
+        known = getattr(own, kind)
+        rows = table.get(kind, {})
+        traits[kind] = {name: _trait(path, f"{kind}.{name}", known.get(name), row) for name, row in rows.items()}
+    traits["review"] = {**own.review, **traits["review"]}
+    return replace(own, response=_trait(path, "response", own.response, table.get("response", {})), **traits)
+
+
+def _trait(path: Path, key: str, default: Trait | None, row: dict[str, Any]) -> Trait:
+    """The trait of a row, with the numbers that it lacks from the ``default``. Raises ``InputError``."""
+    known = {} if default is None else vars(default)
+    if missing := [name for name in ("calm", "normal", "brisk") if name not in {**known, **row}]:
+        remedy = f"give {', '.join(missing)} too: there is no other number"
+        raise InputError("incomplete", remedy, key=f"character.{key}", value=row, file=path)
+    return Trait(**{**known, **row})
 
 
 def _level(rig: Rig | None) -> Rig | None:

@@ -24,8 +24,10 @@ from vehsim.vehicles.library.file import (
     IN_RANGE,
     ActuatorTable,
     BoundsTable,
+    CharacterTable,
     ControlTable,
     Quantity,
+    ReplacedTrait,
     SuspensionTable,
     VehicleFile,
     merged,
@@ -34,7 +36,7 @@ from vehsim.vehicles.library.file import (
 COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers"}
 PHYSICS = "physics"
 TOPS = ("top_speed", "top_turn_rate")
-BESIDE = ("controls", "actuators", "joints", "suspension", *TOPS)
+BESIDE = ("controls", "actuators", "joints", "character", "suspension", *TOPS)
 """Keys of a ``vehicle.toml`` beside ``physics`` whose numbers can be replaced, under the same names."""
 
 
@@ -91,8 +93,21 @@ def check_effect(factory: Callable[..., Any], own: Mapping[str, Any], parameters
 def replaced(data: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The data of a ``vehicle.toml`` with ``parameters`` in place of its own."""
     beside = {key: value for key, value in parameters.items() if key in BESIDE}
+    if "character" in beside:
+        beside["character"] = _sourced(beside["character"])
     physics = {key: value for key, value in parameters.items() if key not in BESIDE}
     return merged(data, {**beside, **({PHYSICS: physics} if physics else {})})
+
+
+def _sourced(character: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of ``character`` with a source: by default, that they are parameters."""
+    source = {"source": "given as a parameter"}
+    tables = {
+        key: {name: {**source, **row} for name, row in table.items()}
+        for key, table in character.items()
+        if key != "response"
+    }
+    return tables | ({"response": {**source, **character["response"]}} if "response" in character else {})
 
 
 def in_unit(data: Mapping[str, Any], kind: str, name: str) -> str:
@@ -127,6 +142,8 @@ def _replacing(factory: Callable[..., Any]) -> type[Table]:
     fields["density"] = (Annotated[Quantity, Field(description="kg/m^3, or a table of part = kg/m^3")], None)
     for key, rows in (("controls", ControlTable), ("actuators", ActuatorTable), ("joints", BoundsTable)):
         fields[key] = (Annotated[dict[str, rows], Field(description=words_of(VehicleFile, key))], {})  # type: ignore[valid-type]  # types made at run time
+    words = words_of(VehicleFile, "character")
+    fields["character"] = (Annotated[CharacterTable[ReplacedTrait], Field(description=words)], CharacterTable())
     fields["suspension"] = (
         Annotated[SuspensionTable, Field(description=words_of(VehicleFile, "suspension"))],
         SuspensionTable(),
