@@ -122,7 +122,7 @@ def test_a_motion_not_refined_on_few_segments_is_refined_from_order_2_on_more(mo
     unrefined = replace(plan._iterate, request=replace(plan._iterate.request, refine=True), rung=0)
     asked = []
 
-    def solved_on(run, iterate, segments, order):
+    def solved_on(run, iterate, segments, order, patience=None):
         asked.append((segments, order))
         return replace(iterate, note="; not refined"), segments > 16
 

@@ -12,7 +12,7 @@ from vehsim.planning.constraints.timing import EARLY
 from vehsim.planning.guesses.prolongate import prolongate
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem.layout import Layout
-from vehsim.planning.problem.solver import HURRIED
+from vehsim.planning.problem.solver import ENDLESS, HURRIED, Patience
 from vehsim.planning.request.request import Request
 from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory
@@ -29,6 +29,8 @@ it.
 """
 ORDER = 4
 """The order of refined plans."""
+BRIEF = Patience(60)
+"""Of the first refined solve of a car on tyres: most need 15 to 50 iterations."""
 LADDER = (1, 2, 4, 8)
 """Factors on the requested number of segments, in turn, of a refined plan."""
 
@@ -124,11 +126,15 @@ def _climb(run: Run, iterate: Iterate) -> tuple[Iterate, bool]:
         iterate, found = _solved_on(run, iterate, segments, 2)
         if not found:
             return iterate, False
-    iterate, found = _solved_on(run, iterate, segments, order)
+    # forces of tyres are too stiff for some long segments: more of them are found sooner
+    patience = BRIEF if rung == 0 and iterate.request.vehicle.rolling is not None else ENDLESS
+    iterate, found = _solved_on(run, iterate, segments, order, patience)
     return replace(iterate, note="") if found else iterate, found
 
 
-def _solved_on(run: Run, iterate: Iterate, segments: int, order: int) -> tuple[Iterate, bool]:
+def _solved_on(
+    run: Run, iterate: Iterate, segments: int, order: int, patience: Patience = ENDLESS
+) -> tuple[Iterate, bool]:
     """The iterate on a finer discretisation and True; if that is not solved, the unchanged iterate, with a note, and
     False."""
     layout = iterate.layout
@@ -140,7 +146,7 @@ def _solved_on(run: Run, iterate: Iterate, segments: int, order: int) -> tuple[I
     finer = Trajectory(iterate.request, iterate.transcription, fine, prolongate(iterate, fine))
     blocks = tuple(block.prolongate(iterate, finer) for block in iterate.blocks)
     start = replace(iterate, layout=fine, x=finer.x, blocks=blocks, prolongated=True)
-    solved = solve(run, start)
+    solved = solve(run, start, patience)
     if solved.success:
         return solved, True
     assert solved.solution is not None
