@@ -139,3 +139,11 @@ def test_executed_controls_look_up_the_ground_below(heli, monkeypatch):
     monkeypatch.setattr(continuous, "_rk4_step", continuous._rk4_step.__wrapped__)
     for a, b in zip(found, continuous.execute(vehicle, *states, controls, steps, np.zeros(3)), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_a_flight_below_everything_has_no_ground(recwarn, heli):
+    """Only infinite depths were known there, whose differences are no numbers."""
+    world = vehsim.World(obstacles=[box("tower", (9.0, 9.0, 0.0), (4.0, 4.0, 15.0))])
+    found = above_ground(heli, world, np.array([[0.0, 0.0, -5.0]]))
+    assert found.ground is None or (np.asarray(found.ground.heights([[9.0, 9.0], [0.0, 0.0]])) < -40).all()
+    assert not recwarn.list

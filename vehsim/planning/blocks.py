@@ -30,7 +30,8 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     aims, traits = [term for term in constraints if term.aim is not None], request.traits
     weights, limits = traits.weights(request.weights), traits.without(request.limits)
     blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
-    blocks.append(Easing(weights, traits, marks))
+    under_way = traits.name != STUNT and not request.loop and marks[0].under_way
+    blocks.append(Easing(weights, traits, marks, under_way))
     blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):

@@ -1,4 +1,7 @@
-"""Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests."""
+"""Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests.
+
+What slips sideways, such as a boat, begins as it would go there if nothing fixes its heading.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from vehsim.planning.request.character import Traits, control_rates, eased
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.terms import COSTS, BendView, costs_of, weight_of
 from vehsim.planning.trajectory import Trajectory
+from vehsim.vehicles.definition.mechanics import acceleration
 
 Array = NDArray[np.float64]
 
@@ -40,6 +44,8 @@ class Easing(Block):
     weights: Mapping[str, float]
     traits: Traits
     marks: Sequence[Mark]
+    under_way: bool = False
+    """Whether the motion begins at speed with a free heading."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -48,7 +54,8 @@ class Easing(Block):
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         ground = tuple(mark.on_ground for mark in self.marks)
-        return "easing", self.names, tuple(eased(self.traits, self.marks)), ground, self._rates(transcription).tobytes()
+        ends = tuple(eased(self.traits, self.marks))
+        return "easing", self.names, ends, ground, self._rates(transcription).tobytes(), self.under_way
 
     def _rates(self, transcription: Transcription) -> Array:
         """The largest rates of the controls over their scale, 1/s."""
@@ -74,6 +81,9 @@ class Easing(Block):
             if not (asks_balance(transcription.vehicle, self.marks[i]) or held):
                 element = balance_element(transcription, self.traits.price, self.marks[i].on_ground)
                 problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
+        if self.under_way and slides(transcription):
+            first = np.vstack([layout.knot(0), layout.control(0)])
+            problem.add(steady_element(transcription, self.traits.price), first)
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         return {weight_of(name): self.weights[name] for name in self.names}
@@ -118,6 +128,33 @@ def balance_element(transcription: Transcription, price: float, on_ground: bool 
         return Element("balance", ca.vertcat(*v.values()), transcription.air, f=f, space=space)
 
     return transcription.kept(("balance", price, on_ground), make)
+
+
+def slides(transcription: Transcription) -> bool:
+    """Whether a vehicle in the plane can move and turn in any direction, as boats and cars on tyres can."""
+    vehicle = transcription.vehicle
+    return vehicle.group.name == "SE2" and transcription.sizes[2] - len(vehicle.dynamic) == vehicle.group.dim
+
+
+def steady_element(transcription: Transcription, price: float) -> Element:
+    """The cost of accelerations sideways, in body axes, and in yaw: (x, c).
+
+    They vanish in a steady bend. A motion with a free heading would otherwise begin with a slide, on which the water or
+    the road then pushes it to its next mark.
+    """
+
+    def make() -> Element:
+        v = transcription.symbols("x", "c0")
+        vehicle = transcription.local_in_air[1]
+        g, r, pi = transcription.split(v["x"])
+        controls = v["c0"] * transcription.control_scale
+        z = transcription.mechanics.knot_velocity_guess(r, pi, controls)
+        still = ca.SX.zeros(controls.shape[0])
+        rates = acceleration(vehicle, g, r, z, controls, still, transcription.air["wind"])
+        f = price * _abrupt(ca.vertcat(rates[0], rates[2]))
+        return Element("steady", ca.vertcat(*v.values()), transcription.air, f=f, space=transcription.space(g))
+
+    return transcription.kept(("steady", price), make)
 
 
 def _abrupt(values: Any) -> Any:

@@ -109,6 +109,11 @@ class Mark(Timed):
         return self.velocity is not None and not np.any(self.velocity)
 
     @property
+    def under_way(self) -> bool:
+        """Whether the vehicle moves there with a free heading."""
+        return heading_of(self) is None and not (self.at_rest or self.speed == 0 or self.on_ground or self.hold)
+
+    @property
     def balanced(self) -> bool:
         """Whether it is at rest without a given attitude: roll and pitch then follow from balance."""
         return self.at_rest and self.orientation is None

@@ -180,7 +180,8 @@ def _below(group: Any, world: Any, box: Array, places: Array | None) -> Below:
     if world.water is not None:
         heights = np.maximum(heights, world.water.level)
     known = np.isfinite(heights)
-    heights = np.where(known, heights, heights[known].min(initial=np.inf) - NOTHING) if known.any() else heights
+    lowest = float((heights[known] if known.any() else points[:, 2]).min())
+    heights = np.where(known, heights, lowest - NOTHING)
     if np.ptp(heights) < LEVEL:
         return Below(group, None, float(heights[0, 0]))
     heights = _of_half_a_disc(heights, spacing / parts, parts)
