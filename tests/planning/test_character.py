@@ -367,21 +367,3 @@ def test_a_parked_car_is_in_balance(name: str) -> None:
     law = ca.Function("off", symbols, [off])
     assert np.abs(law(*(np.zeros(symbol.shape[0]) for symbol in symbols))).max() < 1e-9
     assert steady(vehicle, STILL).holds
-
-
-@pytest.mark.parametrize("character", ["normal", "stunt"])
-def test_cars_on_tyres_slow_down_with_the_brake(character):
-    """Effort alone splits the torque evenly between the brake and the handbrake, as stunts do."""
-    marks = [
-        Mark(1, position=STILL, heading=0, velocity=(10.0, 0.0, 0.0)),
-        Mark(145, position=(30, 0, 0), velocity=STILL),
-    ]
-    plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, marks, character=character, segments=32)
-    brake, handbrake = (plan.clip.controls[:, k].max() for k in (1, 2))
-    assert plan.success and plan.character == character and brake > 400
-    assert handbrake < 0.03 * brake if character == "normal" else handbrake > 0.5 * brake
-
-
-def test_the_cost_of_a_handbrake_names_vehicles_without_one():
-    with pytest.raises(InputError, match="no handbrake"):
-        vehsim.plan(CAR, None, [Mark(1, position=STILL), Mark(60, position=(9, 0, 0))], cost={"handbrake": 1.0})

@@ -48,7 +48,6 @@ class KnotView:
     t: Expr
     acceleration: Expr
     names: tuple[str, ...] = ()
-    control_names: tuple[str, ...] = ()
 
     @property
     def power(self) -> Expr:
@@ -184,14 +183,6 @@ def _steering(k: KnotView) -> Expr:
     return k.joint(STEERING)
 
 
-def _handbrake(s: SegmentView) -> Expr:
-    """Squared torque of the handbrake over its scale, integrated over time; vehicles with a control of that name."""
-    if HANDBRAKE not in (names := s.start.control_names):
-        raise InputError("the vehicle has no handbrake", f"its controls are {list(names)}", key="cost", value=HANDBRAKE)
-    at = names.index(HANDBRAKE)
-    return _effort(replace(s, c0=s.c0[at], c1=s.c1[at]))
-
-
 def _mean(law: Callable[[KnotView], Expr], s: SegmentView) -> Expr:
     return s.h / 2 * (law(s.start) + law(s.end))
 
@@ -276,7 +267,6 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
         "turning": _turning,
         "energy": _work,
         "steering": _steered,
-        "handbrake": _handbrake,
         "safety": _safety,
     },
 )
@@ -334,8 +324,6 @@ class Limit:
         return max(abs(bound), 1.0) if self.height and bound <= 0 else bound
 
 
-HANDBRAKE = "handbrake"
-"""The control of cars on tyres, and the cost of its use."""
 STEERING = "sigma"
 """The joint of all steered vehicles; its value is the tangent of the steering angle."""
 

@@ -61,7 +61,6 @@ def between_view(transcription: Transcription, segment: dict[str, Expr], s: Expr
         position, velocity, _turning(turned, slope), a.rotation @ _rotation(turned), joints, rates,
         (c0 + s * (c1 - c0)) * transcription.control_scale, a.push + s * (b.push - a.push),
         a.rates + s * (b.rates - a.rates), ca.SX(time), acceleration, transcription.vehicle.joints,
-        transcription.vehicle.control_names,
     )  # fmt: skip
 
 
@@ -146,10 +145,7 @@ def root_pose(vehicle: Vehicle, g: Expr) -> Expr:
 def _view(vehicle: Vehicle, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr, time: Expr) -> KnotView:
     position, velocity, omega, rotation, push = _seen(vehicle)(g, r, u, xi, c)
     rates = ca.vertcat(u, xi)
-    return KnotView(
-        position, velocity, omega, rotation, r, u, c, push, rates, ca.SX(time), UNKNOWN, vehicle.joints,
-        vehicle.control_names,
-    )  # fmt: skip
+    return KnotView(position, velocity, omega, rotation, r, u, c, push, rates, ca.SX(time), UNKNOWN, vehicle.joints)
 
 
 @lru_cache(maxsize=32)

@@ -157,8 +157,7 @@ def _law(vehicle: Vehicle, term: Constraint, begin: float, end: float, first: fl
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     hidden = {name: ca.SX.sym(name, 6) for name in ("push", "rates")}
     rotation = ca.reshape(given["rotation"], 3, 3).T
-    seen: dict[str, Any] = given | hidden | {"rotation": rotation}
-    value = evaluate(term, KnotView(**seen, names=vehicle.joints, control_names=vehicle.control_names))
+    value = evaluate(term, KnotView(**(given | hidden | {"rotation": rotation}), names=vehicle.joints))
     planar = vehicle.group.planar
     unseen = [*hidden.values(), given["position"][2]] if planar else [*hidden.values()]
     if ca.depends_on(value, ca.vertcat(*unseen)):
