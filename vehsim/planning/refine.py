@@ -30,7 +30,7 @@ it.
 ORDER = 4
 """The order of refined plans."""
 BRIEF = Patience(60)
-"""Of the first refined solve of a car on tyres: most need 15 to 50 iterations."""
+"""Of a refined solve of a car on tyres: most need 15 to 50 iterations."""
 LADDER = (1, 2, 4, 8)
 """Factors on the requested number of segments, in turn, of a refined plan."""
 
@@ -127,7 +127,7 @@ def _climb(run: Run, iterate: Iterate) -> tuple[Iterate, bool]:
         if not found:
             return iterate, False
     # forces of tyres are too stiff for some long segments: more of them are found sooner
-    patience = BRIEF if rung == 0 and iterate.request.vehicle.rolling is not None else ENDLESS
+    patience = ENDLESS if iterate.request.vehicle.rolling is None else BRIEF
     iterate, found = _solved_on(run, iterate, segments, order, patience)
     return replace(iterate, note="") if found else iterate, found
 
