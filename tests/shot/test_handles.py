@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import vehsim
+from vehsim.errors import InputError
 from vehsim.integrators import Integrator
-from vehsim.shot import Shot
+from vehsim.shot import Shot, handles
 
 MARKS = {
     "car": [((0, 0, 0), (12, 0, 0)), ((26, 3, 0), (14, 0, 0))],
@@ -121,6 +122,8 @@ def test_what_is_damped_comes_steadily_through_the_handle(asset, speed):
         {"frame": frame, "position": list(place), "velocity": [speed, side, 0]}
         for frame, place, side in ((1001, (0, 0, 0), 0), (1049, (2.2 * speed, 1, 0), 1))
     ]
+    if asset == "boat":
+        marks[0]["heading"] = -15  # without it, it begins in a steady bend
     vehicle = {"name": "it", "asset": asset, "motion": {"method": "plan", "mark": marks}}
     shot = {"shot": {"schema": 1, "name": "handles", "end_frame": 1049, "handles": 24}, "vehicle": [vehicle]}
     with pytest.warns(UserWarning, match="through the handle before frame 1001 with the velocity it has there"):
@@ -133,3 +136,16 @@ def test_what_is_damped_comes_steadily_through_the_handle(asset, speed):
     for name, values in whole.channels.items():
         if name.startswith("roll_"):
             assert np.diff(values[:25]) == pytest.approx(np.diff(values[24:26])[0], rel=0.05), name
+
+
+def test_an_end_that_cannot_be_continued_leaves_the_other(monkeypatch):
+    """A snakeboard whose joints turned through a singular place afterwards stood still before its first mark too."""
+
+    def lost(*_):
+        raise InputError("constraints lose rank", "", key="constraints")
+
+    monkeypatch.setattr(handles, "_after", lost)
+    with pytest.warns(UserWarning, match="stands still in the handle after its last frame.*lose rank"):
+        clip = solve("car").clips["it"]
+    speeds = np.linalg.norm(np.diff(clip.resample().positions, axis=0), axis=1) * 24
+    assert speeds[0] > 10 and speeds[-1] == 0

@@ -36,13 +36,15 @@ def carry_on(name: str, clip: Clip, first: int, last: int, handles: int, world: 
 
     If it rests, or lacks more, it is unchanged; warns if the motion cannot be continued.
     """
-    try:
-        if 0 < last - clip.end_frame <= handles and not rests(clip, -1):
-            clip = _after(clip, last, world)
-        if 0 < clip.start_frame - first <= handles and not rests(clip, 0):
-            clip = _before(name, clip, first, world)
-    except VehsimError as error:
-        warnings.warn(f"{name}: its motion cannot be continued through the handles: {error}", stacklevel=3)
+    lacking = {-1: last - clip.end_frame, 0: clip.start_frame - first}
+    for end, frames in lacking.items():
+        if 0 < frames <= handles and not rests(clip, end):
+            try:
+                clip = _after(clip, last, world) if end else _before(name, clip, first, world)
+            except VehsimError as error:
+                where = "after its last" if end else "before its first"
+                message = f"{name}: it stands still in the handle {where} frame: its motion does not continue: {error}"
+                warnings.warn(message, stacklevel=3)
     return clip
 
 
