@@ -39,6 +39,17 @@ def test_a_wrong_obstacle_does_not_take_the_ground_away(planned: dict[str, Any],
     assert set(keys_of(planned)) == {"world.obstacle[0].centre", "world.obstacle[0].position"}
 
 
+def test_every_span_outside_the_motion_is_named(planned: dict[str, Any], keys_of: Find) -> None:
+    motion = planned["vehicle"][0]["motion"]
+    first, last = 1001, 1400
+    motion["mark"][-1]["frame"] = last
+    motion["look"] = [{"at": [30, 10, 0], "frames": frames} for frames in ([first, last], [last, last + 50])]
+    motion["stay"] = [{"above": 1.0, "frames": [first - 9, last]}]
+    found = keys_of(planned)
+    assert set(found) == {"vehicle[0].motion.look[1].frames", "vehicle[0].motion.stay[0].frames"}
+    assert "after the last mark" in found["vehicle[0].motion.look[1].frames"]
+
+
 @pytest.mark.parametrize(
     "key, value, where, says",
     [

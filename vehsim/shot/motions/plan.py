@@ -113,7 +113,20 @@ class PlanMotion(Table):
             except InputError as error:
                 yield error.problem.seen_from("look" if self.look else "stay", remedy="see docs/shot-file.md")
                 return
-            yield from check_request(vehicle, context, marks, options)
+            wrong = [*self._check_spans(marks)]
+            yield from wrong or check_request(vehicle, context, marks, options)
+
+    def _check_spans(self, marks: Sequence[Mark]) -> Iterator[Problem]:
+        """The frames of each look and stay lie within the motion."""
+        from vehsim.planning.request.marks import with_breaks
+
+        spans = {f"look[{i}].frames": table.frames for i, table in enumerate(self.look)}
+        spans |= {f"stay[{i}].frames": table.frames for i, table in enumerate(self.stay)}
+        for key, frames in spans.items():
+            try:
+                with_breaks(marks, frames or ())
+            except InputError as error:
+                yield replace(error.problem, key=key)
 
     def _check_each(self, vehicle: Vehicle, context: Context) -> Iterator[Problem]:
         from vehsim.planning.terms import COSTS
