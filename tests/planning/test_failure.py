@@ -367,8 +367,8 @@ def test_a_refinement_out_of_time_keeps_the_coarser_plan(monkeypatch):
 
     solve = refine.solve
 
-    def failing(run, iterate):
-        solved = solve(run, iterate)
+    def failing(run, iterate, patience):
+        solved = solve(run, iterate, patience)
         fine = solved.layout.order > 2
         return replace(solved, solution=replace(solved.solution, success=False)) if fine else solved
 
