@@ -10,6 +10,7 @@ import pytest
 import vehsim
 from vehsim import Mark, World
 from vehsim.planning import refine
+from vehsim.planning.problem.solver import Patience
 from vehsim.vehicles.definition.gripping import gripping
 from vehsim.world.obstacles.obstacles import box, cone
 from vehsim.world.terrain.terrain import Terrain
@@ -131,3 +132,11 @@ def test_a_motion_not_refined_on_few_segments_is_refined_from_order_2_on_more(mo
     assert not found and asked == [(16, 4)]
     climbed, found = refine._climb(plan._run, climbed)
     assert found and asked[1:] == [(32, 2), (32, 4)] and not climbed.note
+
+
+def test_a_refined_solve_without_patience_says_so(monkeypatch):
+    """It said that a time limit was reached, which was not given."""
+    monkeypatch.setattr(refine, "BRIEF", Patience(1))
+    plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, drive(25, 3, 0, 10))
+    assert plan.success and plan.order == 2
+    assert "not refined to 64 segments of order 4: no solution within the iterations allowed" in plan.message

@@ -329,6 +329,8 @@ class Solver:
             status = ACCEPTABLE
         solved = bool(stats["success"]) or status == ACCEPTABLE
         unfinished = not solved and self._callback.tried and violation <= patience.unfinished
+        if status in STOPPED and self._callback.tried and not self._callback.out_of_time:
+            status = MAXIMUM
         return Solution(
             x=x,
             cost=cost,
