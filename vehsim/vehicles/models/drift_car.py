@@ -31,6 +31,7 @@ from vehsim.vehicles.models.tyres import (
     Share,
     Tyre,
     brake,
+    held,
     sliding,
     steered,
 )
@@ -131,10 +132,8 @@ def drift_car(
         return ca.vertcat(*(hub[1] for hub in velocities(r, xi)))
 
     def standing(r: Expr, u: Expr, xi: Expr, c: Expr, pull: Expr) -> Expr:
-        weight, speed = mass * GRAVITY, xi[1] ** 2 + xi[2] ** 2 + (wheelbase * xi[0]) ** 2
-        slide = ca.sumsqr((u - rolling(r, xi))[[0, 2]] * wheel_radius)
-        brakes = (c[1] + c[2]) / wheel_radius
-        return ca.vertcat(0, weight * tyre.standing(pull[1:] / weight, brakes / weight, speed, slide))
+        spin = (u - rolling(r, xi))[[0, 2]]
+        return held(tyre, mass, wheelbase, wheel_radius, spin, xi, c, pull)
 
     def slip(axle: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: sliding(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]]))

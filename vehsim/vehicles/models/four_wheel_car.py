@@ -38,6 +38,7 @@ from vehsim.vehicles.models.tyres import (
     Two,
     Tyre,
     brake,
+    held,
     sliding,
     steered,
 )
@@ -213,10 +214,8 @@ def four_wheel_car(
         return ca.vertcat(cosine * (xi[2] + front * xi[0]) - sine * xi[1], xi[2] - rear * xi[0])
 
     def standing(r: Expr, u: Expr, xi: Expr, c: Expr, pull: Expr) -> Expr:
-        weight, speed = mass * GRAVITY, xi[1] ** 2 + xi[2] ** 2 + (wheelbase * xi[0]) ** 2
-        slide = ca.sumsqr((u - rolling(r, xi))[[at[shaft] for shaft in dict.fromkeys(shafts.values())]] * wheel_radius)
-        brakes = (c[1] + c[2]) / wheel_radius
-        return ca.vertcat(0, weight * tyre.standing(pull[1:] / weight, brakes / weight, speed, slide))
+        spin = (u - rolling(r, xi))[[at[shaft] for shaft in dict.fromkeys(shafts.values())]]
+        return held(tyre, mass, wheelbase, wheel_radius, spin, xi, c, pull)
 
     def roll_channel(wheel: str) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: r[at[shafts[wheel]]])

@@ -18,6 +18,7 @@ from typing import Annotated
 import casadi as ca
 from annotated_types import Interval, Len
 
+from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.vehicles.definition.base import Control, Expr
 from vehsim.vehicles.definition.quantities import Unit
@@ -161,6 +162,17 @@ def _bent(x: Expr, curvature: float) -> Expr:
 def brake(torque: Expr, rim: Expr) -> Expr:
     """The torque, N m, by which a brake opposes a rim that turns at ``rim`` m/s."""
     return -torque * rim / ca.sqrt(rim**2 + BRAKING**2)
+
+
+def held(
+    tyre: Tyre, mass: float, wheelbase: float, wheel_radius: float, spin: Expr, xi: Expr, c: Expr, pull: Expr
+) -> Expr:
+    """The wrench (3,) that standing tyres bear of the ``pull`` (3,) of the weight on a slope; ``spin``: by how much
+    wheels turn faster than they roll (n,) rad/s; ``xi``: body twist (3,); ``c``: `CONTROLS`."""
+    weight, speed = mass * GRAVITY, xi[1] ** 2 + xi[2] ** 2 + (wheelbase * xi[0]) ** 2
+    brakes = (c[1] + c[2]) / wheel_radius
+    slide = ca.sumsqr(spin * wheel_radius)
+    return ca.vertcat(0, weight * tyre.standing(pull[1:] / weight, brakes / weight, speed, slide))
 
 
 def sliding(hub: Expr, rim: Expr) -> Expr:
