@@ -728,6 +728,29 @@ def test_a_session_that_ends_in_a_drag_keeps_it(path):
     assert "position = [9.0, 1.4, 0]" in path.read_text() and 'text = "slow"' in path.read_text()
 
 
+def test_a_save_waits_for_the_edit_before_it_when_the_session_ends(path, monkeypatch):
+    """The session ends while an edit is made in the solver's thread: the save that came after it has the edit."""
+    entered, add_note = threading.Event(), Session.add_note
+
+    def slow(session, wanted):
+        entered.set()
+        session._ending.wait()
+        time.sleep(0.3)
+        return add_note(session, wanted)
+
+    monkeypatch.setattr(Session, "add_note", slow)
+
+    async def play():
+        async with served(path) as address, browser(address) as page:
+            await page.until("state", lambda message: message["solved"])
+            await page.send(kind="add_note", frame=1010, text="slow")
+            await page.send(kind="save")
+            await asyncio.to_thread(entered.wait)
+
+    asyncio.run(play())
+    assert 'text = "slow"' in path.read_text() and not path.with_name("drive.toml.autosave").exists()
+
+
 def test_ctrl_c_does_not_break_a_step_of_the_session(path, monkeypatch):
     """An exception between two steps of the event loop would lose the next one, for which it waited for ever."""
     steps = []

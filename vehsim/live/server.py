@@ -281,7 +281,7 @@ class Server:
         await self._solve(lambda: change(message))
 
     async def _save(self, message: Message) -> str:
-        self._session.document.save()
+        await self._in_thread(self._session.document.save)  # after an edit that is made there when the session ends
         return f"saved {self._session.document.path.name}"
 
     async def _export(self, message: Message) -> str:
