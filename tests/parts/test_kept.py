@@ -1,4 +1,4 @@
-"""The solids of an asset are cached by content, and never taken from another file or a layer without a file."""
+"""What an asset contains is cached by content, and never taken from another file or a layer without a file."""
 
 import os
 import subprocess
@@ -13,8 +13,10 @@ from pxr import Ar, Gf, Usd, UsdGeom
 
 import vehsim
 from tests.parts.test_reading import CUBE, add_cube, new_stage
-from vehsim.rig import parts
-from vehsim.rig.parts import solids
+from vehsim.rig import ops, parts
+from vehsim.rig.ops import rig_problems
+from vehsim.rig.parts import read_parts, solids
+from vehsim.rig.rig import Drive, Rig
 from vehsim.runtime.files import making_folder
 
 ALONE = """
@@ -66,6 +68,34 @@ def test_cached_solids_equal_those_read(tmp_path, reads):
         assert all(np.array_equal(x, y) for x, y in zip(a.hulls, b.hulls, strict=True))
     with pytest.raises(vehsim.errors.InputError, match="no such prim"):
         solids(asset, "/other")  # the entry for one root is not used for another
+
+
+def test_cached_parts_equal_those_read(tmp_path, reads):
+    asset = write(tmp_path / "rig.usda", 1.0, 0.5)
+    fresh, kept = read_parts(asset), read_parts(asset)
+    assert len(reads) == 1 and [part.parent for part in fresh] == [None, "body"]
+    wanted, _ = parts._read(asset, None)
+    for a, b in zip([*fresh, *kept], [*wanted, *wanted], strict=True):
+        assert (a.name, a.path, a.parent, a.rgba) == (b.name, b.path, b.parent, b.rgba)
+        for name in ("T_pr", "T_rp", "points", "faces"):
+            array, known = getattr(a, name), getattr(b, name)
+            assert array.dtype == known.dtype and np.array_equal(array, known)
+        assert all(np.array_equal(x, y) for x, y in zip(a.collision, b.collision, strict=True))
+    write(asset, 3.0)
+    assert np.abs(read_parts(asset)[0].points).max() > 1.5 * np.abs(fresh[0].points).max()
+
+
+def test_cached_problems_of_a_rig_equal_those_found(tmp_path, monkeypatch):
+    """Also for other drives of the same asset, and once it has changed."""
+    asset, found = write(tmp_path / "rig.usda", 1.0), []
+    search = ops._problems_of
+    monkeypatch.setattr(ops, "_problems_of", lambda rig: (found.append(rig), search(rig))[1])
+    right, wrong = (Rig(asset, "", drives={"lift": Drive(prim, "translateZ")}) for prim in ("body/wheel", "body/whel"))
+    (first,), (again,) = rig_problems(wrong), rig_problems(wrong)
+    assert first == again == next(search(wrong)) and "whel" in str(first) and len(found) == 1
+    assert rig_problems(right) == rig_problems(right) == [] and len(found) == 2
+    write(asset, 2.0)
+    assert rig_problems(wrong) == [first] and len(found) == 3
 
 
 def test_an_asset_that_changed_is_read_again(tmp_path, reads):
@@ -165,7 +195,7 @@ def test_warnings_are_repeated_from_the_cache(tmp_path, reads):
 def test_a_damaged_entry_is_made_again(tmp_path, cache, reads):
     asset = write(tmp_path / "rig.usda", 1.0)
     before = reach(asset)
-    (entry,) = cache.glob("parts-*")
+    (entry,) = cache.glob("solids-*")
     entry.write_bytes(entry.read_bytes()[:-9])
     with pytest.warns(UserWarning, match="damaged"):
         assert reach(asset) == before

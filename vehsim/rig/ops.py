@@ -23,7 +23,7 @@ from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, HITCH_PITCH, HITCH_ROLL
 from vehsim.runtime.cache import Stamp, made_of, stamp
 
 if TYPE_CHECKING:
-    from vehsim.rig.parts import Part
+    from vehsim.rig.parts import Part, Recalled
     from vehsim.rig.rig import Drive, Rig
 
 Array = NDArray[np.float64]
@@ -213,18 +213,16 @@ def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array
 def rig_problems(rig: Rig) -> list[Problem]:
     """The problems, under keys ``channels.NAME``, of drives that cannot move their prim as a rigid part.
 
-    The result is kept as long as the asset's file does not change, for all the clips of a batch. Only another process
-    notices changes in files that the asset refers to.
+    The result is cached as long as no file of the asset changes.
     """
-    key = (repr(rig), stamp(rig.asset))
-    if key not in _found:
+    from vehsim.rig.parts import recalled
+
+    def found() -> Recalled:
         with complaints(rig.asset):
-            _found[key] = list(_problems_of(rig))
-    return _found[key]
+            return [problem.as_dict() for problem in _problems_of(rig)], [], []
 
-
-_found: dict[tuple[str, Stamp], list[Problem]] = {}
-"""The results of `rig_problems`."""
+    problems, _, _ = recalled("rig_problems", rig.asset, repr(rig), found)
+    return [Problem(**problem) for problem in problems]
 
 
 def _problems_of(rig: Rig) -> Iterator[Problem]:

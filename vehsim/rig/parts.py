@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from hashlib import file_digest
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.errors import InputError
-from vehsim.intake.foreign import check_parts
+from vehsim.intake.foreign import check_parts, limit
 from vehsim.intake.polygons import has_polygons
 from vehsim.intake.usd import complaints, dependencies, is_drawn, open_stage
 from vehsim.rig.hulls import Faces, Mesh, apply, convex_hulls, hull_moments, mesh_of
 from vehsim.rig.rig import Rig
-from vehsim.runtime.cache import lookup, made_of, packed, store, unpacked
+from vehsim.runtime.cache import content_of, lookup, made_of, packed, store, unpacked
 
 Array = NDArray[np.float64]
 
@@ -91,48 +89,68 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
     Raises ``InputError`` naming file and prim if the file or the root is missing, there is no mesh, a mesh is broken,
     or a transform cannot be inverted. Warns of geometry other than meshes and simple shapes, which is skipped.
     """
-    parts, messages = _read(asset, root)
+    about = root, limit("VEHSIM_READ_PARTS")
+    names, messages, arrays = recalled("parts-2", asset, about, lambda: _parts(asset, root))
     for message in messages:
         warnings.warn(message, stacklevel=2)
-    return parts
+    frames, colours, *rows = arrays
+    points, faces, collision = (
+        iter(np.split(row, np.cumsum([count for *_, counts in names for count in counts[k]])))
+        for k, row in enumerate(rows)
+    )
+    return [
+        Part(name, path, parent, T_pr, T_rp, next(points), next(faces), tuple(islice(collision, len(counts[2]))), rgba)
+        for (name, path, parent, counts), (T_pr, T_rp), rgba in zip(names, frames, map(tuple, colours), strict=True)
+    ]
+
+
+def _parts(asset: str | Path, root: str | None) -> Recalled:
+    parts, messages = _read(asset, root)
+    names = [
+        [part.name, part.path, part.parent, [[len(part.points)], [len(part.faces)], [*map(len, part.collision)]]]
+        for part in parts
+    ]
+    clouds = [cloud for part in parts for cloud in part.collision]
+    arrays = [
+        np.array([[part.T_pr, part.T_rp] for part in parts]),
+        np.array([part.rgba for part in parts]),
+        np.vstack([part.points for part in parts]),
+        np.vstack([part.faces for part in parts]),
+        np.vstack([np.zeros((0, 3)), *clouds]),
+    ]
+    return names, messages, arrays
 
 
 def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     """The collision geometry of every part: the convex hull of each collision mesh. Raises as `read_parts` does.
 
-    An asset without collision meshes gets the convex hull of each part's visible mesh, with a warning. The result is
-    cached by the content of the file and the files that it refers to, because loading USD takes longer than many a
-    plan.
+    An asset without collision meshes gets the convex hull of each part's visible mesh, with a warning.
     """
-    content = _content(asset)
-    key = str(asset), content, root
-    kept = lookup("parts", key)
-    found, messages = _unpacked(kept, {str(Path(asset).resolve()): content}) if kept is not None else (None, [])
-    if found is None:
-        from pxr import Sdf
-
-        # layers in memory may differ from their files
-        held = {layer.identifier for layer in Sdf.Layer.GetLoadedLayers()}
-        before = {str(file): _content(file) for file in dependencies(asset)[0]}
-        parts, messages = _read(asset, root)
-        meshes = [part.collision for part in parts]
-        if not any(meshes):
-            meshes = [(part.points,) * bool(len(part.points)) for part in parts]
-            messages.append(
-                f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part is used, "
-                "which may be far too large; mark collision meshes for accurate clearances"
-            )
-        hulls = iter(convex_hulls([points for own in meshes for points in own]))
-        found = [
-            Solid(part.name, part.path, part.T_rp, tuple(apply(part.T_rp, next(hulls)) for _ in own))
-            for part, own in zip(parts, meshes, strict=True)
-        ]
-        files = _files(asset, held)
-        if files and files.items() <= before.items():  # nothing was written while it was read
-            store("parts", key, _packed(found, messages, files))
+    names, messages, (frames, points) = recalled("solids", asset, root, lambda: _solids(asset, root))
     for message in messages:
         warnings.warn(message, stacklevel=2)
-    return found
+    hulls = iter(np.split(points, np.cumsum([count for _, _, counts in names for count in counts])))
+    return [
+        Solid(name, path, frame, tuple(islice(hulls, len(counts))))
+        for (name, path, counts), frame in zip(names, frames, strict=True)
+    ]
+
+
+def _solids(asset: str | Path, root: str | None) -> Recalled:
+    parts, messages = _read(asset, root)
+    meshes = [part.collision for part in parts]
+    if not any(meshes):
+        meshes = [(part.points,) * bool(len(part.points)) for part in parts]
+        messages.append(
+            f"{made_of(asset)}: no mesh carries UsdPhysics.CollisionAPI; the convex hull of each part is used, "
+            "which may be far too large; mark collision meshes for accurate clearances"
+        )
+    hulls = convex_hulls([points for own in meshes for points in own])
+    frames = [part.T_rp for part, own in zip(parts, meshes, strict=True) for _ in own]
+    placed = [apply(T_rp, hull) for T_rp, hull in zip(frames, hulls, strict=True)]
+    counts = iter(map(len, placed))
+    names = [[part.name, part.path, [*islice(counts, len(own))]] for part, own in zip(parts, meshes, strict=True)]
+    return names, messages, [np.array([part.T_rp for part in parts]), np.vstack([np.zeros((0, 3)), *placed])]
 
 
 def moments(parts: Sequence[Part]) -> list[tuple[Part, float, Array, Array]]:
@@ -200,14 +218,34 @@ def add_to_spec(spec: Any, rig: Rig, name: str, free: bool = True, only: Collect
     return body
 
 
-def _content(asset: str | Path) -> str:
-    """The checksum of a file; empty if the file does not exist."""
-    with suppress(OSError), open(asset, "rb") as file:
-        return file_digest(file, "sha256").hexdigest()
-    return ""
+Recalled = tuple[Any, list[str], list[NDArray[Any]]]
+"""JSON data, warnings and arrays that were read from an asset."""
 
 
-def _files(asset: str | Path, held: AbstractSet[str]) -> dict[str, str]:
+def recalled(kind: str, asset: str | Path, about: Any, read: Callable[[], Recalled]) -> Recalled:
+    """What ``read`` finds out about an asset, cached by the content of its file and of the files to which that refers,
+    because loading USD takes longer than many a plan. ``kind``, ``about``: what is read."""
+    key = str(asset), content_of(asset), about
+    kept = lookup(kind, key)
+    if kept is not None:
+        header, *arrays = unpacked(kept)
+        files, data, messages = json.loads(header.tobytes())
+        if all(content_of(file) == content for file, content in files.items()):
+            return data, messages, arrays
+    from pxr import Sdf
+
+    # layers in memory may differ from their files
+    held = {layer.identifier for layer in Sdf.Layer.GetLoadedLayers()}
+    before = {str(file): content_of(file) for file in dependencies(asset)[0]}
+    data, messages, arrays = read()
+    files = _files(asset, held)
+    if files and files.items() <= before.items():  # nothing was written while it was read
+        header = np.frombuffer(json.dumps([files, data, messages]).encode(), np.uint8)
+        store(kind, key, packed([header, *arrays]))
+    return data, messages, arrays
+
+
+def _files(asset: str | Path, held: AbstractSet[str]) -> dict[str, str | None]:
     """All files from which an asset was read, with their checksums. Empty if this is uncertain: a file is missing, a
     resolver chooses the files, or a layer was ``held`` in memory."""
     from pxr import Usd
@@ -218,27 +256,7 @@ def _files(asset: str | Path, held: AbstractSet[str]) -> dict[str, str]:
     plain = all(layer.identifier == layer.realPath and layer.identifier not in held for layer in layers)
     if not plain or stage.GetCompositionErrors():
         return {}
-    return {file: _content(file) for file in sorted(files)}
-
-
-def _packed(found: Sequence[Solid], messages: Sequence[str], files: Mapping[str, str]) -> bytes:
-    names = [[solid.name, solid.path, [len(hull) for hull in solid.hulls]] for solid in found]
-    header = json.dumps([files, messages, names])
-    frames, hulls = np.array([solid.T_rp for solid in found]), [hull for solid in found for hull in solid.hulls]
-    return packed([np.frombuffer(header.encode(), np.uint8), frames, np.vstack([np.zeros((0, 3)), *hulls])])
-
-
-def _unpacked(content: bytes, known: Mapping[str, str]) -> tuple[list[Solid] | None, list[str]]:
-    """The result of `_packed`, and its warnings; None if a file has changed since. ``known``: checksums of files."""
-    header, frames, points = unpacked(content)
-    files, messages, names = json.loads(header.tobytes())
-    if any((known.get(file) or _content(file)) != checksum for file, checksum in files.items()):
-        return None, []
-    hulls = iter(np.split(points, np.cumsum([count for _, _, counts in names for count in counts])))
-    rows = zip(names, frames, strict=True)
-    return [
-        Solid(name, path, frame, tuple(islice(hulls, len(counts)))) for (name, path, counts), frame in rows
-    ], messages
+    return {file: content_of(file) for file in sorted(files)}
 
 
 # ---------------------------------------------------------------- the stage
