@@ -192,5 +192,5 @@ def _png(linear: Array) -> bytes:
     from PIL import Image
 
     png = io.BytesIO()
-    Image.fromarray(encode_srgb(linear)).save(png, "png")
+    Image.fromarray(encode_srgb(linear)).save(png, "png", compress_level=4)  # a third of the time of 6, 5 % larger
     return png.getvalue()
