@@ -431,3 +431,16 @@ def test_the_pilot_holds_a_helicopter_whose_rotor_reacts():
     assert np.linalg.norm(clip.positions[-1] - [0, 0, 30]) < 0.1 and np.abs(clip.twists[-1]).max() < 0.02
     w, x = clip.orientations[-1, :2]
     assert np.degrees(2 * x * w) == pytest.approx(np.degrees(steady(vehicle, (0.0, 0.0, 0.0)).roll), abs=0.1)
+
+
+def test_the_page_of_vehicles_tells_the_shipped_trim():
+    """docs/vehicles.md: bank to the left and nose down, degrees, thrust of the tail rotor, N, and power, kW."""
+    text = (Path(__file__).parents[2] / "docs/vehicles.md").read_text(encoding="utf-8")
+    table = text[text.index("| speed, m/s | 0 | 10 | 20 |") :].split("\n\n")[0].splitlines()
+    rows = [[float(cell.replace(",", "")) for cell in table[k].split("|")[2:-1]] for k in (0, 2, 3, 4, 5)]
+    vehicle = vehsim.load_vehicle("helicopter")
+    for speed, bank, down, tail, power in zip(*rows, strict=True):
+        found = trimmed(vehicle, speed)
+        assert np.degrees([-found.roll, -found.pitch]) == pytest.approx([bank, down], abs=0.06), speed
+        assert found.controls[1] == pytest.approx(tail, abs=1), speed
+        assert shaft_power(vehicle, speed) / 1e3 == pytest.approx(power, abs=0.6), speed
