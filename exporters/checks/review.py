@@ -21,6 +21,7 @@ from vehsim.delivery.reports import REMEDY, reading_report
 from vehsim.intake.foreign import refuse
 from vehsim.intake.tables import dotted
 from vehsim.planning.terms import LIMITS
+from vehsim.planning.trim import steady
 from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS, SHARES_OF_TIME, Reviewed, Trait
 from vehsim.vehicles.definition.quantities import in_degrees
 from vehsim.world.ground.below import above_ground
@@ -37,6 +38,8 @@ BY_WAVES = frozenset({"acceleration", "jerk"})
 """What waves determine more than a driver."""
 ROOM = 0.1
 """Share of the envelope by which a motion may exceed it: plans hold to its limits by prices."""
+RELEASED = 1e-3
+"""Share of its range within which a control of a vehicle at rest is at a bound."""
 POINTS = 240
 """Largest number of points of a curve; each is the worst of its interval."""
 AT_BOUND = 0.01
@@ -172,7 +175,10 @@ def _curves(track: Track, vehicle: Any, world: World | None) -> Iterator[_Curve]
     lower, upper = (np.array([getattr(c, end) for c in vehicle.controls]) for end in ("lower", "upper"))
     bounded = np.isfinite(upper - lower)
     if bounded.any():
-        yield reviewed("saturation", _use(track.controls[:, bounded], lower[bounded], upper[bounded]).max(axis=1))
+        balance = steady(vehicle, (0.0, 0.0, 0.0))
+        idle = balance.controls if balance.holds else np.full(len(lower), np.nan)
+        use = _use(*(values[..., bounded] for values in (track.controls, lower, upper, idle)))
+        yield reviewed("saturation", use.max(axis=1))
     ranges = np.where(bounded, upper - lower, 2 * np.array([c.scale for c in vehicle.controls]))
     yield reviewed("reversals", _reversals(track, ranges))
     names = {name: trait.normal for name, trait in traits.control_rates.items()}
@@ -255,9 +261,14 @@ def _settling(track: Track) -> Array:
     return found
 
 
-def _use(controls: Array, lower: Array, upper: Array) -> Array:
-    """How near each control is to its bounds (n, c): 0 in the middle of its range, 1 at a bound."""
-    return np.asarray(np.abs(controls - (lower + upper) / 2) / ((upper - lower) / 2))
+def _use(controls: Array, lower: Array, upper: Array, idle: Array) -> Array:
+    """How near each control (n, c) is to its bounds: 0 in the middle of its range, 1 at a bound.
+
+    A bound at which it is ``idle`` (c,) with the vehicle at rest, as of a brake, does not count: it is 0 there.
+    """
+    room = upper - lower
+    released = np.minimum(np.abs(idle - lower), np.abs(idle - upper)) < RELEASED * room
+    return np.abs(controls - np.where(released, idle, (lower + upper) / 2)) / np.where(released, room, room / 2)
 
 
 def _reversals(track: Track, ranges: Array) -> Array:

@@ -23,6 +23,7 @@ from vehsim.vehicles.definition.character import REVIEW_UNITS, REVIEWED
 from vehsim.world.obstacles.obstacles import box
 
 BOAT, CAR = vehsim.load_vehicle("boat").planar, vehsim.load_vehicle("car")
+RALLY, HELICOPTER = vehsim.load_vehicle("rally_car"), vehsim.load_vehicle("helicopter")
 
 
 def along_x(vehicle: Any, x: Any, v: Any, controls: Any, seconds: float = 6.0, slip: float = 0.0) -> Clip:
@@ -104,6 +105,15 @@ def test_saturation_is_a_share_of_time_and_reversals_are_counted() -> None:
     assert row(clip, "reversals")["worst"] == pytest.approx(6 / 6 * 60, rel=0.1)
     small = along_x(BOAT, still, still, (still, lambda t: 0.04 * np.sin(w * t)))
     assert row(small, "reversals")["worst"] == 0
+
+
+def test_a_released_brake_is_not_saturated_and_a_rotor_without_thrust_is() -> None:
+    driven = [lambda t, k=k: 0 * t + k for k in (500.0, 0.0, 0.0, 0.1)]  # drive, brake, handbrake, steering_rate
+    assert row(along_x(RALLY, lambda t: 5 * t, lambda t: 5 + 0 * t, driven), "saturation")["worst"] == 0
+    driven[1] = lambda t: np.where(t < 1.5, RALLY.controls[1].upper, 0.0)  # a quarter of the time
+    assert row(along_x(RALLY, still, still, driven), "saturation")["worst"] == pytest.approx(0.25, abs=0.01)
+    falling = vehsim.simulate(HELICOPTER, vehsim.World(), np.zeros((25, 4)), duration=0.1, step=1 / 240)
+    assert row(falling, "saturation")["worst"] == 1
 
 
 def test_a_control_without_bounds_is_never_saturated() -> None:
