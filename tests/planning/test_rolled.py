@@ -11,6 +11,7 @@ import vehsim
 from vehsim import Mark, World
 from vehsim.planning import refine
 from vehsim.planning.problem.solver import Patience
+from vehsim.runtime.progress import Watching
 from vehsim.vehicles.definition.gripping import gripping
 from vehsim.world.obstacles.obstacles import box, cone
 from vehsim.world.terrain.terrain import Terrain
@@ -140,3 +141,15 @@ def test_a_refined_solve_without_patience_says_so(monkeypatch):
     plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, drive(25, 3, 0, 10))
     assert plan.success and plan.order == 2
     assert "not refined to 64 segments of order 4: no solution within the iterations allowed" in plan.message
+
+
+@pytest.mark.parametrize("name", ["drift_car", "rally_car"])
+def test_iterates_of_a_car_on_tyres_are_drawn_on_the_ground(name):
+    """Those without slip too, as in the live page."""
+    drawn = []
+    progress = Watching(lambda what, done: None, lambda name, motion: drawn.append(motion()))
+    car, world = vehsim.load_vehicle(name), World(terrain="hills")
+    marks = [Mark(frame=0, position=(-60, 20, 0), heading=20, velocity=REST), Mark(frame=240, position=(-35, 27, 0))]
+    assert vehsim.plan(car, world, marks, progress=progress).success
+    assert all(set(car.channels) <= set(clip.channels) for clip in drawn) and len(drawn) > 5
+    assert np.ptp(drawn[-1].channels["roll_fl"]) > 30  # rad

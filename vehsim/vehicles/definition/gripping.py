@@ -62,7 +62,6 @@ def gripping(vehicle: Vehicle) -> Nonholonomic | None:
         torques=None,
         standing=None,
         attitude=None,
-        channels={},
         default_costs={},
         largest_step=math.inf,
         pivots=None,
