@@ -79,6 +79,9 @@ _CONTENT = {
     "acceptable_obj_change_tol": 1e-4,
     "acceptable_iter": 15,
 }
+_SETTLED = {**_CONTENT, "acceptable_tol": 1e30, "acceptable_dual_inf_tol": 1e30, "acceptable_obj_change_tol": 1e-7}
+"""It ends, too, where all constraints are met and the cost stays the same: if they depend on each other there, their
+multipliers grow without end."""
 _UNSCALED = {"mumps_scaling": 0, "mumps_permuting_scaling": 0}
 """No scaling of the linear systems."""
 _NEAR = {
@@ -99,7 +102,7 @@ _CONVEX = {
 """Which multiples of the identity make a Hessian convex: IPOPT's own steps of a hundred go far beyond what is needed,
 and its thirds take ten short steps to come down again."""
 _ENDS: dict[End, dict[str, Any]] = {
-    "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9},
+    "optimal": {"tol": 1e-8, "constr_viol_tol": 1e-9, **_SETTLED},
     # near the earliest possible frame, the costs of a character fall slowly, and hardly any of it can be seen
     # and constraints may depend on each other: a boat that is held at rest balances three forces by one thrust
     "content": {"tol": 1e-8, "constr_viol_tol": 1e-9, "perturb_always_cd": "yes", **_CONVEX, **_CONTENT},
