@@ -21,6 +21,7 @@ from vehsim.errors import ExportError, InputError, Problem
 from vehsim.intake.usd import complaints, open_stage
 from vehsim.rig.rig import DISC_PITCH, DISC_ROLL, HITCH_PITCH, HITCH_ROLL
 from vehsim.runtime.cache import Stamp, made_of, stamp
+from vehsim.runtime.code import code
 
 if TYPE_CHECKING:
     from vehsim.rig.parts import Part, Recalled
@@ -213,7 +214,7 @@ def pivot_of(rig: Rig, channel: str, root: Any, metres_per_unit: float) -> Array
 def rig_problems(rig: Rig) -> list[Problem]:
     """The problems, under keys ``channels.NAME``, of drives that cannot move their prim as a rigid part.
 
-    The result is cached as long as no file of the asset changes.
+    The result is cached as long as neither a file of the asset nor these checks change.
     """
     from vehsim.rig.parts import recalled
 
@@ -221,7 +222,7 @@ def rig_problems(rig: Rig) -> list[Problem]:
         with complaints(rig.asset):
             return [problem.as_dict() for problem in _problems_of(rig)], [], []
 
-    problems, _, _ = recalled("rig_problems", rig.asset, repr(rig), found)
+    problems, _, _ = recalled("rig_problems", rig.asset, (code((Path(__file__),)), repr(rig)), found)
     return [Problem(**problem) for problem in problems]
 
 

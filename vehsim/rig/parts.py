@@ -95,13 +95,17 @@ def read_parts(asset: str | Path, root: str | None = None) -> list[Part]:
         warnings.warn(message, stacklevel=2)
     frames, colours, *rows = arrays
     points, faces, collision = (
-        iter(np.split(row, np.cumsum([count for *_, counts in names for count in counts[k]])))
-        for k, row in enumerate(rows)
+        _divided(row, [count for *_, counts in names for count in counts[k]]) for k, row in enumerate(rows)
     )
     return [
         Part(name, path, parent, T_pr, T_rp, next(points), next(faces), tuple(islice(collision, len(counts[2]))), rgba)
         for (name, path, parent, counts), (T_pr, T_rp), rgba in zip(names, frames, map(tuple, colours), strict=True)
     ]
+
+
+def _divided(rows: NDArray[Any], counts: Sequence[int]) -> Iterator[NDArray[Any]]:
+    """Consecutive ``counts`` of ``rows``."""
+    return iter(np.split(rows, np.cumsum(counts)))
 
 
 def _parts(asset: str | Path, root: str | None) -> Recalled:
@@ -129,7 +133,7 @@ def solids(asset: str | Path, root: str | None = None) -> list[Solid]:
     names, messages, (frames, points) = recalled("solids", asset, root, lambda: _solids(asset, root))
     for message in messages:
         warnings.warn(message, stacklevel=2)
-    hulls = iter(np.split(points, np.cumsum([count for _, _, counts in names for count in counts])))
+    hulls = _divided(points, [count for _, _, counts in names for count in counts])
     return [
         Solid(name, path, frame, tuple(islice(hulls, len(counts))))
         for (name, path, counts), frame in zip(names, frames, strict=True)

@@ -80,8 +80,8 @@ _CONTENT = {
     "acceptable_iter": 15,
 }
 _SETTLED = {**_CONTENT, "acceptable_tol": 1e30, "acceptable_dual_inf_tol": 1e30, "acceptable_obj_change_tol": 1e-7}
-"""It ends, too, where all constraints are met and the cost stays the same: if they depend on each other there, their
-multipliers grow without end."""
+"""A solve also ends where all constraints are met and the cost stays the same: if they depend on each other there,
+their multipliers grow without end."""
 _UNSCALED = {"mumps_scaling": 0, "mumps_permuting_scaling": 0}
 """No scaling of the linear systems."""
 _NEAR = {
