@@ -1,4 +1,4 @@
-"""Where a plan begins at speed with a free heading, what slips begins as it would go there."""
+"""Where a plan begins at speed with a free heading or attitude, the vehicle begins as it would go there."""
 
 from __future__ import annotations
 
@@ -52,9 +52,30 @@ def test_it_begins_with_the_slip_of_a_steady_bend(asset, speeds, place, turn, fr
     assert np.abs(change[[0, 2]]).max() < 0.5
 
 
-def easing(first: Mark, **more) -> Easing:
-    vehicle = vehsim.load_vehicle("drift_car")
-    last = Mark(100, position=(30, 2, 0))
+def rolls(clip) -> np.ndarray:
+    """Roll, deg, right side down."""
+    w, x, y, z = clip.orientations.T
+    return np.degrees(np.arctan2(2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)))
+
+
+@pytest.mark.parametrize(("speed", "turn", "bank"), [(10.0, 0.0, 2.1), (20.0, -60.0, -15.0)])
+def test_a_flight_begins_and_ends_in_a_coordinated_turn(speed, turn, bank):
+    """At 10 m/s it began with a roll of 12 degrees, and rolled back at 25 degrees per second."""
+    place = (120.0, 0.0) if turn == 0 else (130.0, -75.0)
+    marks = [
+        Mark(1, position=(0, 0, 60), velocity=ways(0, speed)),
+        Mark(1 + 24 * (12 if turn == 0 else 8), position=(*place, 60), velocity=ways(turn, speed)),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks)
+    assert plan.success
+    roll = rolls(plan.clip)
+    assert np.abs(np.diff(roll) / np.diff(plan.clip.times))[[0, -1]].max() < 4.0
+    assert np.abs(roll + bank).max() < 5.0
+
+
+def easing(first: Mark, vehicle: str = "drift_car", **more) -> Easing:
+    vehicle = vehsim.load_vehicle(vehicle)
+    last = Mark(100, position=(30, 2, 0), velocity=(0, 0, 0))
     request = make_request(vehicle, None, [first, last], fps=24, segments=16, **more)
     return next(b for b in blocks_of(request, transcribe(request.weighed), None) if isinstance(b, Easing))
 
@@ -72,4 +93,27 @@ def easing(first: Mark, **more) -> Easing:
     ],
 )
 def test_a_heading_rest_and_stunts_leave_the_slip_free(more, character, expected):
-    assert easing(Mark(1, position=(0, 0, 0), **more), character=character).under_way == expected
+    assert easing(Mark(1, position=(0, 0, 0), **more), character=character).steady == [0] * expected
+
+
+@pytest.mark.parametrize(
+    ("more", "character", "expected"),
+    [
+        ({"velocity": (9, 0, 0)}, "normal", True),
+        ({"velocity": (9, 0, 0), "heading": 20.0}, "calm", True),
+        ({"velocity": (9, 0, 0), "orientation": (1, 0, 0, 0)}, "normal", False),
+        ({"velocity": (0, 0, 0)}, "normal", False),
+        ({"velocity": (9, 0, 0)}, "stunt", False),
+    ],
+)
+def test_an_attitude_rest_and_stunts_leave_a_flight_free(more, character, expected):
+    first = Mark(1, position=(0, 0, 30), **more)
+    assert easing(first, "helicopter", character=character).steady == [0] * expected
+
+
+def test_a_loop_begins_nowhere():
+    first, last = Mark(1, position=(0, 0, 30), speed=5.0), Mark(200, position=(0, 0, 30), speed=5.0)
+    vehicle = vehsim.load_vehicle("helicopter")
+    request = make_request(vehicle, None, [first, last], fps=24, segments=16, loop=True)
+    blocks = blocks_of(request, transcribe(request.weighed), None)
+    assert next(b for b in blocks if isinstance(b, Easing)).steady == []

@@ -7,7 +7,7 @@ from vehsim.planning.constraints.approach import Landing
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.dynamics import Dynamics, UnconstrainedJoints, UnitQuaternion
-from vehsim.planning.constraints.easing import Easing
+from vehsim.planning.constraints.easing import Easing, steady_marks
 from vehsim.planning.constraints.mark_constraints import Loop, MarkConstraint, closes_loop
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.constraints.path_constraints import PathConstraint
@@ -30,8 +30,8 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     aims, traits = [term for term in constraints if term.aim is not None], request.traits
     weights, limits = traits.weights(request.weights), traits.without(request.limits)
     blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
-    under_way = traits.name != STUNT and not request.loop and marks[0].under_way
-    blocks.append(Easing(weights, traits, marks, under_way))
+    steady = [] if traits.name == STUNT or request.loop else steady_marks(request.vehicle, marks)
+    blocks.append(Easing(weights, traits, marks, steady))
     blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):

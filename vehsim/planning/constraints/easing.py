@@ -1,6 +1,7 @@
 """Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests.
 
-What slips sideways, such as a boat, begins as it would go there if nothing fixes its heading.
+What slips sideways, such as a boat, begins as it would go there if nothing fixes its heading; what flies begins and ends
+in a coordinated turn if nothing fixes its attitude.
 """
 
 from __future__ import annotations
@@ -13,19 +14,26 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.constants import GRAVITY
+from vehsim.lie import SO3
 from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.mark_constraints import asks_balance, imbalance
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.character import Traits, control_rates, eased
-from vehsim.planning.request.marks import Mark
+from vehsim.planning.request.marks import Mark, heading_of
 from vehsim.planning.terms import COSTS, BendView, costs_of, weight_of
 from vehsim.planning.trajectory import Trajectory
+from vehsim.planning.trim import flies, is_pushed
+from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.mechanics import acceleration
 
 Array = NDArray[np.float64]
 
+COORDINATED = 100.0
+"""Price of x^2 where a flight begins or ends at speed; x: rates of roll and pitch, rad/s, and the bank, rad, that its
+turn lacks. A degree costs 0.03; in flight, the effort of a second costs one."""
 REST, ABRUPT = 6e3, 0.05
 """Price of imbalance x at rest, m/s^2, and of the rates x of controls, as shares of their largest: ``REST`` x^2 /
 2 up to about ``ABRUPT``, so that a thousandth remains of what the rest of the motion would gain; from there on ``REST
@@ -44,8 +52,8 @@ class Easing(Block):
     weights: Mapping[str, float]
     traits: Traits
     marks: Sequence[Mark]
-    under_way: bool = False
-    """Whether the motion begins at speed with a free heading."""
+    steady: Sequence[int] = ()
+    """The marks at which the motion begins or ends steadily, see `steady_marks`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -55,7 +63,7 @@ class Easing(Block):
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         ground = tuple(mark.on_ground for mark in self.marks)
         ends = tuple(eased(self.traits, self.marks))
-        return "easing", self.names, ends, ground, self._rates(transcription).tobytes(), self.under_way
+        return "easing", self.names, ends, ground, self._rates(transcription).tobytes(), tuple(self.steady)
 
     def _rates(self, transcription: Transcription) -> Array:
         """The largest rates of the controls over their scale, 1/s."""
@@ -81,9 +89,11 @@ class Easing(Block):
             if not (asks_balance(transcription.vehicle, self.marks[i]) or held):
                 element = balance_element(transcription, self.traits.price, self.marks[i].on_ground)
                 problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
-        if self.under_way and slides(transcription):
-            first = np.vstack([layout.knot(0), layout.control(0)])
-            problem.add(steady_element(transcription, self.traits.price), first)
+        for i in self.steady:
+            knot = layout.mark_knots[i]
+            steady = coordinated_element if flies(transcription.vehicle) else steady_element
+            there = np.vstack([layout.knot(knot), layout.control(knot)])
+            problem.add(steady(transcription, self.traits.price), there)
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         return {weight_of(name): self.weights[name] for name in self.names}
@@ -130,10 +140,19 @@ def balance_element(transcription: Transcription, price: float, on_ground: bool 
     return transcription.kept(("balance", price, on_ground), make)
 
 
-def slides(transcription: Transcription) -> bool:
+def steady_marks(vehicle: Vehicle, marks: Sequence[Mark]) -> list[int]:
+    """Indices of the marks at which a motion that is no loop begins or ends steadily: a flight at both ends where it
+    moves with a free attitude, a vehicle that slides where it begins to move with a free heading."""
+    ends = [i for i in (0, len(marks) - 1) if marks[i].moves]
+    if flies(vehicle) and is_pushed(vehicle):
+        return [i for i in ends if marks[i].orientation is None]
+    return [i for i in ends if i == 0 and heading_of(marks[i]) is None] if slides(vehicle) else []
+
+
+def slides(vehicle: Vehicle) -> bool:
     """Whether a vehicle in the plane can move and turn in any direction, as boats and cars on tyres can."""
-    vehicle = transcription.vehicle
-    return vehicle.group.name == "SE2" and transcription.sizes[2] - len(vehicle.dynamic) == vehicle.group.dim
+    free = vehicle.basis(ca.SX.zeros(len(vehicle.joints))).shape[1]
+    return vehicle.group.name == "SE2" and free == vehicle.group.dim
 
 
 def steady_element(transcription: Transcription, price: float) -> Element:
@@ -145,16 +164,47 @@ def steady_element(transcription: Transcription, price: float) -> Element:
 
     def make() -> Element:
         v = transcription.symbols("x", "c0")
-        vehicle = transcription.local_in_air[1]
-        g, r, pi = transcription.split(v["x"])
-        controls = v["c0"] * transcription.control_scale
-        z = transcription.mechanics.knot_velocity_guess(r, pi, controls)
-        still = ca.SX.zeros(controls.shape[0])
-        rates = acceleration(vehicle, g, r, z, controls, still, transcription.air["wind"])
-        f = price * _abrupt(ca.vertcat(rates[0], rates[2]))
-        return Element("steady", ca.vertcat(*v.values()), transcription.air, f=f, space=transcription.space(g))
+        _, rates = _motion(transcription, v)
+        return _at_knot(transcription, v, price * _abrupt(ca.vertcat(rates[0], rates[2])))
 
     return transcription.kept(("steady", price), make)
+
+
+def coordinated_element(transcription: Transcription, price: float) -> Element:
+    """The cost of rolling, pitching, and accelerating sideways in body axes: (x, c).
+
+    They vanish in a steady turn, which is about a vertical axis. A flight would otherwise begin with a bank of ten
+    degrees and the roll rate that ends it, which take no effort.
+    """
+
+    def make() -> Element:
+        v, group = transcription.symbols("x", "c0"), transcription.vehicle.group
+        g = transcription.split(v["x"])[0]
+        z, rates = _motion(transcription, v)
+        t, zero = ca.SX.sym("t"), ca.SX.zeros(1)
+        twist = group.velocity_to_body(group.compose(g, group.cay(t * z)), z + t * rates)
+        twist, change = (ca.substitute(each, t, zero) for each in (twist, ca.jacobian(twist, t)))
+        turning = SO3.matrix(group.pose(g)[3:7]) @ twist[0:3]
+        off = ca.vertcat(turning[0:2], change[4] / GRAVITY)
+        return _at_knot(transcription, v, price * COORDINATED * ca.sumsqr(off))
+
+    return transcription.kept(("coordinated", price), make)
+
+
+def _motion(transcription: Transcription, v: dict[str, Any]) -> tuple[Any, Any]:
+    """The group's own velocity (d,) at a knot (x, c0) of a vehicle that moves freely, and its rate of change."""
+    vehicle = transcription.local_in_air[1]
+    g, r, pi = transcription.split(v["x"])
+    controls = v["c0"] * transcription.control_scale
+    z = transcription.mechanics.knot_velocity_guess(r, pi, controls)
+    rates = acceleration(vehicle, g, r, z, controls, ca.SX.zeros(controls.shape[0]), transcription.air["wind"])
+    return z[: vehicle.group.dim], rates[: vehicle.group.dim]
+
+
+def _at_knot(transcription: Transcription, v: dict[str, Any], f: Any) -> Element:
+    """An element with the cost ``f`` of a knot (x, c0), which depends on what is below it."""
+    space = transcription.space(transcription.split(v["x"])[0])
+    return Element("steady", ca.vertcat(*v.values()), transcription.air, f=f, space=space)
 
 
 def _abrupt(values: Any) -> Any:

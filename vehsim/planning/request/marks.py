@@ -71,7 +71,8 @@ class Mark(Timed):
 
     At a mark with ``velocity = (0, 0, 0)`` the vehicle is at rest: its body does not turn either. Without a given
     attitude it is in balance, as it must be to stay there (a helicopter leans against its tail rotor and the wind), so
-    that the motion starts and ends smoothly; without a heading, a vehicle that flies nose first faces along its leg;
+    that the motion starts and ends smoothly; without a heading, a vehicle that flies nose first faces along its leg,
+    or as it comes from where a constraint points it on that leg;
     if it rests in a bay, trailers stand straight at marks without joints. If no such motion is found, both are free.
     ``speed = 0`` leaves the attitude free.
     """
@@ -109,9 +110,9 @@ class Mark(Timed):
         return self.velocity is not None and not np.any(self.velocity)
 
     @property
-    def under_way(self) -> bool:
-        """Whether the vehicle moves there with a free heading."""
-        return heading_of(self) is None and not (self.at_rest or self.speed == 0 or self.on_ground or self.hold)
+    def moves(self) -> bool:
+        """Whether the vehicle moves there, or may."""
+        return not (self.at_rest or self.speed == 0 or self.on_ground or self.hold)
 
     @property
     def balanced(self) -> bool:

@@ -93,14 +93,18 @@ class Request:
         return [*self.limits.constraints(), *own, *starts, *map(descent, landings(self.marks))]
 
     def aimed(self, mark: Mark) -> bool:
-        """Whether a constraint sets the heading at this mark."""
+        """Whether a constraint sets the heading at this mark, or between it and the places before and after: the time
+        that is left may be too short to turn along the leg."""
         ranges = [term.frames for term in self.constraints if term.aim is not None]
         first = mark.given_frame
         if first is None:
             return None in ranges
         i = [known.given_frame for known in self.marks].index(first)
         last = int(self.marks[end_of_hold(self.marks, i)].frame)
-        return any(r is None or (r[0] <= last and first <= r[1]) for r in ranges)
+        places = [other.given_frame for other in self.marks if other.position is not None]
+        before = max((frame for frame in places if frame is not None and frame < first), default=first)
+        after = min((frame for frame in places if frame is not None and frame > last), default=last)
+        return any(r is None or (r[0] <= after and before <= r[1]) for r in ranges)
 
     def aims(self, mark_knots: NDArray[np.intp]) -> list[tuple[int, int, Any, float]]:
         """The constraints that set headings: (first knot, last knot, point, angle)."""
