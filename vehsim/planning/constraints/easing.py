@@ -1,7 +1,7 @@
 """Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests.
 
-What slips sideways, such as a boat, begins as it would go there if nothing fixes its heading; what flies begins and ends
-in a coordinated turn if nothing fixes its attitude.
+What slips sideways, such as a boat, begins as it would go there if nothing fixes its heading; what flies begins and
+ends in a coordinated turn if nothing fixes its attitude.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ class Easing(Block):
         for i in self.steady:
             knot = layout.mark_knots[i]
             steady = coordinated_element if flies(transcription.vehicle) else steady_element
-            there = np.vstack([layout.knot(knot), layout.control(knot)])
-            problem.add(steady(transcription, self.traits.price), there)
+            ends = np.vstack([layout.knot(knot), layout.control(knot)])
+            problem.add(steady(transcription, self.traits.price), ends)
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         return {weight_of(name): self.weights[name] for name in self.names}
