@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 import vehsim
-from vehsim import Mark, World
+from vehsim import Mark, State, World
 from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import certify_plane
@@ -34,6 +34,7 @@ from vehsim.planning.trajectory import Trajectory
 from vehsim.rig.parts import read_parts
 from vehsim.world.obstacles import obstacles as ob
 from vehsim.world.obstacles.plane import distance, placed
+from vehsim.world.terrain.terrain import Terrain
 
 REST = (0.0, 0.0, 0.0)
 WALLS = [  # a ring about (20, 0)
@@ -142,6 +143,27 @@ def test_a_moving_obstacle_is_avoided(car):
 def test_obstacles_above_or_below_the_vehicle_do_not_matter(car):
     overhead = World(obstacles=[ob.box("bridge", (20, 0, 5), (4, 40, 1)), ob.box("drain", (30, 0, -2), (4, 40, 1))])
     assert parts_in_reach(car, overhead, across()) == []
+
+
+def hill() -> Terrain:
+    """A ridge across the way, 6 m high at x = 20, with a valley 8 m deep between banks at x = 60."""
+    x, y = np.meshgrid(np.arange(-40.0, 101.0, 2.0), np.arange(-40.0, 41.0, 2.0))
+    heights = 6 * np.exp(-(((x - 20) / 12) ** 2)) - 8 * np.exp(-(((x - 60) / 10) ** 6)) + 0 * y
+    return Terrain("ridge", heights, (-40.0, -40.0), (2.0, 2.0))
+
+
+def test_what_stands_on_higher_ground_is_in_the_way(car):
+    """A car on level ground before the ridge planned to drive through the shed on it."""
+    shed, bridge = ob.box("shed", (20, 0, 5.8), (4, 3, 3)), ob.box("bridge", (60, 0, -0.2), (34, 6, 1))
+    other = vehsim.simulate(
+        car, World(), np.zeros((25, 2)), start=State(position=(20, 10, 6)), duration=1.0, step=1 / 24
+    )
+    parked = ob.moving("parked", other)
+    world = World(terrain=hill(), obstacles=[shed, bridge, parked])
+    assert [obstacle.name for obstacle, _ in parts_in_reach(car, world, across())] == ["shed", "parked"]
+    plan = vehsim.plan(car, World(terrain=hill(), obstacles=[shed]), across(40), segments=48, clearance=0.5)
+    assert plan.success, plan.message
+    assert gap_by_shapely(plan.clip, World(obstacles=[shed])) >= 0.5 - 2e-3
 
 
 @pytest.mark.parametrize(

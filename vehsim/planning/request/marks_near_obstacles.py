@@ -20,7 +20,7 @@ from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.world.ground.walls import Walls
 from vehsim.world.ground.wheels import wheels_of
 from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
-from vehsim.world.obstacles.plane import placed
+from vehsim.world.obstacles.plane import Ellipse, placed
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,8 @@ MOST_LEAN = 0.1
 """The largest lean with which the hulls of a moving vehicle are compared as if it were level, rad."""
 LEANING = 0.2
 """Room above a vehicle for its motion on its springs, m."""
+STEPS = 5
+"""Number of steps from the middle of an obstacle to each corner at which the ground below it is measured."""
 TURNS = 180
 """Number of headings to try at a mark without a heading."""
 FINE = 0.01
@@ -46,20 +48,38 @@ _HEADINGS = np.arange(TURNS) * 2 * np.pi / TURNS
 
 
 def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance: float = 0.0) -> list[tuple[Any, int]]:
-    """The obstacles of ``world``, with indices of their parts, that a vehicle driving at the height of the marks can
-    touch; and the walls of a terrain with overhangs, up to ``clearance`` m above the vehicle."""
+    """The obstacles of ``world``, with indices of their parts, that a vehicle in the plane can touch, on wheels on the
+    ground below them, otherwise at the height of the marks; and the walls of a terrain with overhangs, up to
+    ``clearance`` m above the vehicle."""
     if world is None or not vehicle.group.planar:
         return []
     height = 0.0 if marks[0].position is None else float(marks[0].position[2])
     low, high = vertical_reach(vehicle)
-    rock = at_level(world, vehicle, marks).walls(high + LEANING + clearance)
+    there = at_level(world, vehicle, marks)
+    rock = there.walls(high + LEANING + clearance)
     walls = [] if rock is None else [(rock, number) for number in range(len(rock.parts))]
-    return walls + [
-        (obstacle, number)
-        for obstacle in world.obstacles
-        if obstacle.bottom < height + high and obstacle.top > height + low
-        for number in range(1 if obstacle.moves else len(obstacle.parts))
-    ]
+    on_ground = world.terrain is not None and vehicle.rig is not None and wheels_of(vehicle.rig)
+    found = []
+    for obstacle in world.obstacles:
+        for number in range(1 if obstacle.moves else len(obstacle.parts)):
+            at = _ground_below(there, obstacle, number) if on_ground else height
+            if obstacle.bottom < at + high and obstacle.top > at + low:
+                found.append((obstacle, number))
+    return walls + found
+
+
+def _ground_below(world: Any, obstacle: Any, number: int) -> float:
+    """The median height, m, of the ground below one part of an obstacle, or along the way of one that moves.
+
+    A bridge may rest on the banks of the valley that it spans.
+    """
+    if obstacle.moves:
+        return float(np.median(world.height(obstacle.clip.positions[:, :2])))
+    shape = obstacle.parts[number]
+    corners = shape.outline() if isinstance(shape, Ellipse) else shape
+    middle = corners.mean(axis=0)
+    places = middle + np.linspace(0.0, 1.0, STEPS)[:, None, None] * (corners - middle)
+    return float(np.median(world.height(places.reshape(-1, 2))))
 
 
 def at_level(world: Any, vehicle: Vehicle, marks: Sequence[Any]) -> Any:
