@@ -7,6 +7,7 @@ import vehsim
 from vehsim import Mark
 from vehsim.planning.certificates import certify
 from vehsim.planning.constraints.spheres import sphere_cover
+from vehsim.planning.request import request
 from vehsim.world.terrain.terrain import Terrain
 
 REST = (0.0, 0.0, 0.0)
@@ -39,6 +40,23 @@ def test_flies_through_the_gap(flight):
     at = int(np.argmin(np.abs(flight.clip.positions[:, 0] - 60)))
     assert flight.clip.positions[at, 1] > 8
     assert flight.clip.positions[:, 2].max() <= 25 + 1e-6
+
+
+def test_over_a_wide_terrain_only_the_part_around_the_marks_is_measured(helicopter, monkeypatch):
+    """And the plan is the same as with the field of the whole, on the same grid."""
+    x, y = np.meshgrid(np.arange(0, 601, 6.0), np.arange(0, 601, 6.0))
+    marks = [Mark(1, position=(230, 280, 16), heading=0, velocity=REST),
+             Mark(400, position=(320, 300, 16), velocity=REST)]  # fmt: skip
+    measured, plans = [], []
+    monkeypatch.setattr("vehsim.world.distance.field.kept", lambda kind, content, make, most: (
+        measured.append(np.prod(content[4])) or make()))  # fmt: skip
+    for much in (request.MUCH, np.inf):
+        monkeypatch.setattr(request, "MUCH", much)
+        world = vehsim.World(terrain=Terrain("waves", 6 * np.sin(x / 40) * np.sin(y / 50), cell=(6.0, 6.0)))
+        plans.append(vehsim.plan(helicopter, world, marks, segments=32, clearance=4.0))
+    assert len(measured) == 2 and measured[0] < 0.3 * measured[1]
+    assert all(plan.success for plan in plans)
+    np.testing.assert_allclose(plans[0].clip.positions, plans[1].clip.positions, atol=1e-2)
 
 
 def test_clearance_is_certified_on_the_exported_motion(flight, helicopter, world):

@@ -144,6 +144,24 @@ def test_a_quick_field_is_never_too_small_and_asks_for_few_nearest_points(monkey
     assert error[near].min() > -1e-4 and error[near].mean() < typical and error[near].max() < 1.0
 
 
+@pytest.mark.parametrize("quick", [True, False], ids=["quick", "exact"])
+@pytest.mark.parametrize("terrain", [hills(), crags()], ids=["hills", "crags"])
+def test_a_part_of_a_field_is_a_part_of_the_same_grid(terrain, quick):
+    """Its distances are those of the whole, except where two places of the rock are almost equally close, and at its
+    sides, where the nearest one may be outside."""
+    whole = distance_field(terrain, quick=quick)
+    part = distance_field(terrain, box=[[11.3, 8.1, -100], [47.9, 39.2, 100]], quick=quick)
+    assert part.spacing == whole.spacing and part.distances.size < 0.6 * whole.distances.size
+    first = np.rint((part.lower - whole.lower) / whole.spacing).astype(int)
+    there = whole.distances[tuple(slice(a, a + n) for a, n in zip(first, part.distances.shape, strict=True))]
+    np.testing.assert_allclose(part.lower, whole.lower + whole.spacing * first)
+    inner = int(np.ceil(8 / whole.spacing))
+    own, same = (each[inner:-inner, inner:-inner] for each in (part.distances, there))
+    near = np.abs(same) < 6
+    error = np.abs(own - same)[near]
+    assert len(error) > 1000 and np.quantile(error, 0.95) < 1e-4 and np.quantile(error, 0.99) < 0.05
+
+
 @pytest.mark.parametrize("terrain", [hills(), crags()], ids=["hills", "crags"])
 def test_along_a_path_the_field_is_exact_near_the_ground(terrain):
     path = np.array([[5.0, 5, 30], [30, 20, 28], [55, 35, 30]])

@@ -63,6 +63,21 @@ def test_the_corridor_of_a_large_grid_has_its_cheapest_path(canyon, monkeypatch,
     assert searched[0] < 0.5 * searched[-1], searched
 
 
+def test_in_a_part_of_space_only_the_best_path_counts(canyon):
+    """Over gentle ground, the path in a box around the ends is that of the whole. Where valleys may lead elsewhere,
+    there is none."""
+    x, y = np.meshgrid(np.arange(0, 600, 6.0), np.arange(0, 600, 6.0))
+    world = World(Terrain("waves", 6 * np.sin(x / 40) * np.sin(y / 50), cell=(6.0, 6.0)))
+    ends, box = ((200, 260, 22), (320, 300, 22)), [[140, 200, -50], [380, 360, 50]]
+    whole, part = world.route(*ends, 5.0), world.route(*ends, 5.0, box=box, best=True)
+    assert world.distance_field(box=box, quick=True).distances.size < 0.3 * world.distance_field().distances.size
+    np.testing.assert_allclose(part, whole, atol=1e-3)
+    canyon_box = [[-20, -20, -100], [200, 60, 100]]
+    canyon.route(START, GOAL, 7.0, ceiling=100, box=canyon_box)
+    with pytest.raises(SolveError, match="the best path may lead outside the box"):
+        canyon.route(START, GOAL, 7.0, box=canyon_box, best=True)
+
+
 def test_a_ceiling_is_kept(canyon):
     assert canyon.route(START, GOAL, 5.0, ceiling=32)[:, 2].max() <= 32
 

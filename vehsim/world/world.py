@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vehsim.errors import InputError
 from vehsim.runtime.progress import Progress
-from vehsim.world.distance.field import DistanceField, distance_field, exact_along
+from vehsim.world.distance.field import DistanceField, box_of, distance_field, exact_along
 from vehsim.world.obstacles.articulated import carriers_of, swung
 from vehsim.world.obstacles.obstacles import Moving, Obstacle, check_obstacles
 from vehsim.world.terrain.terrain import Terrain
@@ -132,6 +132,13 @@ class World:
     def moving(self) -> tuple[Moving, ...]:
         """The obstacles that move."""
         return tuple(obstacle for obstacle in self.obstacles if isinstance(obstacle, Moving))
+
+    @property
+    def bounds(self) -> Array | None:
+        """(2, 3) m: the box of the whole distance field; None without terrain and standing obstacles."""
+        if self.terrain is None and not self.standing:
+            return None
+        return np.array(box_of(self.terrain, obstacles=self.standing))
 
     @property
     def waves(self) -> bool:
@@ -319,17 +326,19 @@ class World:
         clearance: float,
         ceiling: float | None = None,
         box: ArrayLike | None = None,
+        best: bool = False,
     ) -> Array:
         """A path (k, 3) m from ``start`` to ``goal`` (3,) m through free space, ``clearance`` m from terrain and
         obstacles.
 
-        ``box`` (2, 3) m: the region to search. ``ceiling`` m bounds its height; by default it may be a little higher
-        than start and goal, so that it follows the valleys. Raises ``InputError`` (an end in the rock) and
-        ``SolveError`` (no path).
+        ``box`` (2, 3) m: the region to search; ``best``: whether a path counts only if none outside can be better.
+        ``ceiling`` m bounds its height; by default it may be a little higher than start and goal, so that it follows
+        the valleys. Raises ``InputError`` (an end in the rock) and ``SolveError`` (no path).
         """
         from vehsim.world.distance.route import find_route
 
-        return find_route(self.distance_field(box=box, quick=True), start, goal, clearance, ceiling, self.height)
+        field, bounds = self.distance_field(box=box, quick=True), self.bounds if best else None
+        return find_route(field, start, goal, clearance, ceiling, self.height, bounds)
 
 
 def _water(water: Water | float | None) -> Water | None:

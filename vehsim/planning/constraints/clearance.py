@@ -397,19 +397,22 @@ def cover_for(request: Request, paths: Sequence[Array], progress: Progress) -> S
         return None
     centres, radii = sphere_cover(request.vehicle)
     points = np.vstack([path[:, :3] for path in paths])
-    room = np.array([points.min(axis=0) - ROOM, points.max(axis=0) + ROOM])
-    near, *wider = search_boxes(request)
-    # use a finer field than that of all obstacles: the one in which the paths were searched, if it contains them
-    if wider and near is not None:
-        inside = (points.min(axis=0) > near[0] + ROOM / 2).all() and (points.max(axis=0) < near[1] - ROOM / 2).all()
-        field = request.world.distance_field(progress, box=near if inside else room)
-    else:
-        field = request.world.distance_field_along(points, ROOM, progress, box=near)
+    box, *wider = search_boxes(request)
+    if wider and not _contains(box, points, request.world):
+        box = np.array([points.min(axis=0) - ROOM, points.max(axis=0) + ROOM])
+    field = request.world.distance_field_along(points, ROOM, progress, box=box)
     moving = []
     for obstacle in request.world.moving:
         progress(f"measuring distances to {obstacle.name}", 0.0)
         moving.append((obstacle, field_about(obstacle.hulls, _around(request))))
     return SphereCover(field, centres, radii, tuple(moving))
+
+
+def _contains(box: Any, points: Array, world: Any) -> bool:
+    """Whether a ``box`` (2, 3) m in which paths were searched has room around ``points`` (n, 3) m, as far as the
+    ``world`` has it."""
+    low, high = np.clip([points.min(axis=0) - ROOM / 2, points.max(axis=0) + ROOM / 2], *world.bounds)
+    return bool((low >= box[0]).all() and (high <= box[1]).all())
 
 
 def dragged_cover(request: Request, paths: Sequence[Array], progress: Progress, names: Container[str]) -> SphereCover:

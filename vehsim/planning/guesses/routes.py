@@ -141,11 +141,11 @@ def _routes(
     up = np.array([0, 0, balls(request.vehicle)[0][2]])
     ceiling = request.limits.get("ceiling")
     lid = ceiling + up[2] if math.isfinite(ceiling) else None
-    found, legs = [], legs_between(kept)
+    found, legs, best = [], legs_between(kept), not request.world.standing
     for done, (a, b) in enumerate(legs):
         progress("searching for a path", done / len(legs))
         try:
-            found.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box) - up)
+            found.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box, best) - up)
         except InputError:
             for mark, end in ((kept[done], a), (kept[done + 1], b)):
                 check_free(field, f"{mark.name}.position", end, request.clearance, ceiling, request.world.height)

@@ -41,6 +41,11 @@ ROOM = 30.0
 FINER = 8.0
 """Least ratio of volumes, of the box of all obstacles to that of the marks, at which paths are first searched around
 the marks: the coarse grid of the larger box has no points in a narrow gap."""
+BESIDE = 0.5
+"""The same margin over terrain without obstacles, relative to the distance between marks: few paths lead farther
+aside."""
+MUCH = 2.0
+"""Least ratio of volumes, of the terrain's box to that part of it, at which distances are measured in the part only."""
 MOST_SEGMENTS = 4096
 """Largest number of segments of a plan."""
 UPRIGHT = 1e-4
@@ -400,12 +405,18 @@ def airspace(request: Request) -> Array | None:
 
 
 def search_boxes(request: Request) -> list[Array | None]:
-    """Boxes (2, 3) m in which paths are searched in turn: around the marks, if that field is much finer, then all."""
-    wide = airspace(request)
-    if not request.world.standing:
-        return [wide]
-    places = mark_positions(request.marks)
-    near = np.array([places.min(axis=0) - ROOM, places.max(axis=0) + ROOM])
-    if wide is not None and np.prod(np.ptp(wide, axis=0)) < FINER * np.prod(np.ptp(near, axis=0)):
-        return [wide]
-    return [near, wide]
+    """Boxes (2, 3) m in which paths are searched in turn: around the marks, if that is much less or much finer, then
+    all."""
+    wide, places, world = airspace(request), mark_positions(request.marks), request.world
+    around = np.array([places.min(axis=0) - ROOM, places.max(axis=0) + ROOM])
+    if world.standing:
+        much = wide is None or np.prod(np.ptp(wide, axis=0)) >= FINER * np.prod(np.ptp(around, axis=0))
+        return [around, wide] if much else [wide]
+    whole = world.bounds
+    if whole is None:
+        return [None]
+    aside = max(ROOM, BESIDE * float(np.ptp(places, axis=0).max()))
+    low, high = np.maximum(places.min(axis=0) - aside, whole[0]), np.minimum(places.max(axis=0) + aside, whole[1])
+    near = np.array([[*low[:2], whole[0, 2]], [*high[:2], whole[1, 2]]])
+    much = (high > low)[:2].all() and np.prod(np.ptp(whole, axis=0)) >= MUCH * np.prod(np.ptp(near, axis=0))
+    return [near, None] if much else [None]

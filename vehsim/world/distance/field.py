@@ -283,14 +283,19 @@ def distance_field(
     terrain's distances from its own field, and only where they may be nearer than the terrain. ``known`` keeps the
     terrain's distances on the grids used last: then moving an obstacle costs about a tenth of a second, and up to one
     without terrain. ``spacing`` m between grid points (default: from `POINTS`); ``box`` (2, 3) m restricts the field to
-    a part of the terrain, and is necessary without a terrain; ``progress`` receives the work and its fraction. Raises
-    ``InputError``.
+    a part of the terrain, by default on the grid of the whole, and is necessary without a terrain; ``progress``
+    receives the work and its fraction. Raises ``InputError``.
     """
     name = "open space" if terrain is None else terrain.name
-    lower, upper = _box(terrain, box, obstacles)
-    volume = float(np.prod(np.maximum(upper - lower, 1e-9)))
-    points = AMONG if obstacles else POINTS
-    step = max(FINEST, (volume / points) ** (1 / 3)) if spacing is None else float(spacing)
+    lower, upper = box_of(terrain, box, obstacles)
+    if spacing is not None:
+        step = float(spacing)
+    elif obstacles:
+        step = _spacing(upper - lower, AMONG)
+    else:  # a part of the grid of the whole
+        first, last = box_of(terrain)
+        step = _spacing(last - first, POINTS)
+        lower = first + step * np.floor((lower - first) / step)
     shape = np.maximum(np.ceil((upper - lower) / step).astype(int) + 1, 4) if step > 0 else np.zeros(3, int)
     if not np.isfinite(step) or step <= 0 or np.prod(shape, dtype=float) > 20 * POINTS:
         remedy = "give a spacing of about a metre"
@@ -342,9 +347,14 @@ def field_about(hulls: Sequence[Array], reach: float, points: int = AMONG) -> Di
     grid ``points``."""
     corners = np.vstack(hulls)
     lower, upper = corners.min(axis=0) - reach, corners.max(axis=0) + reach
-    step = max(FINEST, (float(np.prod(upper - lower)) / points) ** (1 / 3))
+    step = _spacing(upper - lower, points)
     shape = np.maximum(np.ceil((upper - lower) / step).astype(int) + 1, 4)
     return DistanceField(_measure(_to_hulls(hulls), lower, shape, step, None, "obstacles"), lower, step, open=True)
+
+
+def _spacing(size: Array, points: int) -> float:
+    """The spacing, m, of so many grid ``points`` in a box of this ``size`` (3,) m; at least `FINEST`."""
+    return max(FINEST, (float(np.prod(np.maximum(size, 1e-9))) / points) ** (1 / 3))
 
 
 def _bytes_of(array: NDArray[np.float32]) -> bytes:
@@ -353,8 +363,10 @@ def _bytes_of(array: NDArray[np.float32]) -> bytes:
     return body.getvalue()
 
 
-def _box(terrain: Terrain | None, box: ArrayLike | None, obstacles: Sequence[Obstacle] = ()) -> tuple[Array, Array]:
-    """The corners (3,), (3,) of the field's box."""
+def box_of(
+    terrain: Terrain | None, box: ArrayLike | None = None, obstacles: Sequence[Obstacle] = ()
+) -> tuple[Array, Array]:
+    """The corners (3,), (3,) m of the field's box: the given part of all that is around terrain and obstacles."""
     corners = np.concatenate([np.zeros((0, 3)), *(hull for obstacle in obstacles for hull in obstacle.hulls)])
     if terrain is None:
         lower, upper = corners.min(axis=0) - HEADROOM, corners.max(axis=0) + HEADROOM

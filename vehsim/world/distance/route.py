@@ -40,12 +40,14 @@ def find_route(
     clearance: float,
     ceiling: float | None = None,
     height: Callable[[Array], Array] | None = None,
+    bounds: Array | None = None,
 ) -> Array:
     """A path (k, 3) m from ``start`` to ``goal`` (3,) m that keeps ``clearance`` m from the rock of ``field``.
 
     Near an end that is closer to the rock, the path keeps only the clearance of that end. ``ceiling`` m bounds the
-    height; if None, the lowest of `LIFTS` with a path is used. ``height`` (xy -> m) is used to explain errors. Raises
-    ``InputError`` if an end is in the rock, ``SolveError`` if there is no path.
+    height; if None, the lowest of `LIFTS` with a path is used. ``height`` (xy -> m) is used to explain errors.
+    ``bounds`` (2, 3) m: the box of all space, of which the field may be a part; then a path counts only if none that
+    leaves the part can be better. Raises ``InputError`` if an end is in the rock, ``SolveError`` if there is no path.
     """
     ends = np.stack([_point("start", start), _point("goal", goal)])
     if field is None or np.ptp(ends, axis=0).max() == 0:
@@ -54,15 +56,31 @@ def find_route(
         check_free(field, name, end, clearance, ceiling, height)
     highest = float(ends[:, 2].max())
     ceilings = [highest + lift for lift in LIFTS] if ceiling is None else [ceiling]
-    search = _Search(field, ends, clearance)
+    search, least = _Search(field, ends, clearance), _least_outside(field, ends, bounds)
     for bound in ceilings:
-        path = search.shortest(bound)
+        path, cost = search.shortest(bound)
+        if cost > least:
+            raise SolveError("the best path may lead outside the box", "search a larger box", key="route")
         if path is not None:
             return search.smooth(search.pull(path), bound)
     remedy = "lower the clearance" if ceiling is None else "raise the ceiling or lower the clearance"
     below = "" if ceiling is None else f" below z = {ceiling:g} m"
     message = f"no path from {_say(ends[0])} to {_say(ends[1])} with {clearance:g} m clearance{below}"
     raise SolveError(message, remedy, key="route")
+
+
+def _least_outside(field: DistanceField, ends: Array, bounds: Array | None) -> float:
+    """The length of the shortest way between the ``ends`` (2, 3) m that leaves the ``field`` where the box ``bounds``
+    (2, 3) m continues, m; inf if it does not."""
+    if bounds is None:
+        return np.inf
+    least = np.inf
+    for border, bound in zip((field.lower, field.upper), bounds, strict=True):
+        for axis in np.flatnonzero(np.abs(border - bound) > field.spacing):
+            mirrored = ends[1].copy()
+            mirrored[axis] = 2 * border[axis] - mirrored[axis]
+            least = min(least, float(np.linalg.norm(mirrored - ends[0])))
+    return least
 
 
 def _say(point: Array) -> str:
@@ -121,8 +139,9 @@ class _Search:
         """Cost per metre at a ``distance`` of m from the rock."""
         return 1 + SHY * np.clip(1 - (distance - self.clearance) / COMFORT, 0, 1) ** 2
 
-    def shortest(self, ceiling: float) -> Array | None:
-        """The cheapest path (k, 3) m over the grid below ``ceiling``, with both ends; None if there is none.
+    def shortest(self, ceiling: float) -> tuple[Array | None, float]:
+        """The cheapest path (k, 3) m over the grid below ``ceiling``, with both ends, and its cost; None, inf if there
+        is none.
 
         Large grids are searched only in the corridor that a grid of twice the step leaves, unless the path that is
         found there costs so much that another could be cheaper.
@@ -130,18 +149,18 @@ class _Search:
         shape = self.distance.shape
         levels = int(np.sum(self.field.lower[2] + self.step * np.arange(shape[2]) <= ceiling + 1e-9))
         if levels == 0:
-            return None
+            return None, np.inf
         distance = self.distance[:, :, :levels]
         free = self._free(distance)
         nodes, cost = np.argwhere(free), self.cost(distance[free])
         near = [self._reach(end, nodes) for end in self.ends]
         if min(map(len, near)) == 0:
-            return None
+            return None, np.inf
         if len(nodes) > FEW:
             through, block = self._through(nodes, cost, near)
             least = float(through.min())
             if not np.isfinite(least):
-                return None
+                return None, np.inf
             for factor in CORRIDORS:
                 # a path's ends, and where it crosses a block, may be this much farther
                 inside = (through <= factor * least + 2 * self.step * (1 + SHY))[block]
@@ -149,8 +168,8 @@ class _Search:
                 reached = [kept[each[inside[each]]] for each in near]
                 path, length = self._cheapest(nodes[inside], cost[inside], reached)
                 if length <= factor * least:
-                    return path
-        return self._cheapest(nodes, cost, near)[0]
+                    return path, length
+        return self._cheapest(nodes, cost, near)
 
     def _free(self, distance: Array) -> NDArray[np.bool_]:
         """Which grid points (nx, ny, nz) with these distances a path may use."""
