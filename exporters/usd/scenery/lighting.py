@@ -278,7 +278,8 @@ def encode_srgb(linear: Any) -> NDArray[np.uint8]:
 
 def to_srgb(linear: Any) -> Array:
     """Linear light to sRGB, both 0 to 1."""
-    x = np.clip(np.asarray(linear, float), 0.0, 1.0)
+    x = np.asarray(linear)
+    x = np.clip(x if np.issubdtype(x.dtype, np.floating) else x.astype(float), 0.0, 1.0)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 

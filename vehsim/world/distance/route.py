@@ -25,6 +25,8 @@ FEW = 30_000
 CORRIDORS = (1.06, 1.25)
 """Largest cost of a path in the corridors of a large grid that are searched in turn, over the least that it could be:
 most paths cost at most 1.04 of that."""
+STRAIGHT = 1.02
+"""Largest cost of a straight path that is taken without a search, over its length: no path costs less than that."""
 SHY = 4.0
 """At the clearance limit, a metre costs 1 + SHY times as much as in the open."""
 COMFORT = 8.0
@@ -57,12 +59,15 @@ def find_route(
     highest = float(ends[:, 2].max())
     ceilings = [highest + lift for lift in LIFTS] if ceiling is None else [ceiling]
     search, least = _Search(field, ends, clearance), _least_outside(field, ends, bounds)
+    free, cost = search.sample(*ends)
+    if free and cost <= STRAIGHT * np.linalg.norm(ends[1] - ends[0]):
+        return search.smooth(ends)
     for bound in ceilings:
         path, cost = search.shortest(bound)
         if cost > least:
             raise SolveError("the best path may lead outside the box", "search a larger box", key="route")
         if path is not None:
-            return search.smooth(search.pull(path), bound)
+            return search.smooth(search.pull(path))
     remedy = "lower the clearance" if ceiling is None else "raise the ceiling or lower the clearance"
     below = "" if ceiling is None else f" below z = {ceiling:g} m"
     message = f"no path from {_say(ends[0])} to {_say(ends[1])} with {clearance:g} m clearance{below}"
@@ -247,7 +252,7 @@ class _Search:
             kept.append(there)
         return path[kept]
 
-    def smooth(self, path: Array, ceiling: float) -> Array:
+    def smooth(self, path: Array) -> Array:
         """``path`` sampled evenly, with its corners rounded as far as space permits."""
         leg = np.linalg.norm(np.diff(path, axis=0), axis=1)
         station = np.concatenate([[0], np.cumsum(leg)])
