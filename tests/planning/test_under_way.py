@@ -52,6 +52,23 @@ def test_it_begins_with_the_slip_of_a_steady_bend(asset, speeds, place, turn, fr
     assert np.abs(change[[0, 2]]).max() < 0.5
 
 
+@pytest.mark.parametrize(
+    ("asset", "speed", "place", "frames"), [("boat", 3.0, 45.0, 504), ("drift_car", 6.0, 33.0, 312)]
+)
+def test_a_heading_along_the_velocity_begins_without_a_spin(asset, speed, place, frames):
+    """They spun at 74 and 67 degrees per second, which water and tyres then stopped; the car was driven as brisk."""
+    turn = -47.0 if asset == "boat" else 2.0
+    x, y, _ = ways(turn, place)
+    last = {"velocity": ways(1.5 * turn, speed)} if asset == "boat" else {"velocity": (0, 0, 0), "heading": 1.5 * turn}
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=0, velocity=(speed, 0, 0)),
+        Mark(1 + frames, position=(x, y, 0), **last),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle(asset), None, marks)
+    assert plan.success and "driven" not in plan.message
+    assert np.degrees(np.abs(plan.clip.twists[:, 0])).max() < 20.0
+
+
 def rolls(clip) -> np.ndarray:
     """Roll, deg, right side down."""
     w, x, y, z = clip.orientations.T
@@ -86,13 +103,16 @@ def easing(first: Mark, vehicle: str = "drift_car", **more) -> Easing:
         ({"velocity": (9, 0, 0)}, "normal", True),
         ({"speed": 9.0}, "calm", True),
         ({}, "normal", True),
+        ({"velocity": (9, 0, 0), "heading": 3.0}, "normal", True),
         ({"velocity": (9, 0, 0), "heading": 20.0}, "normal", False),  # a drift that the mark asks for
+        ({"velocity": (9, 0, 0), "heading": 180.0}, "normal", False),
+        ({"speed": 9.0, "heading": 20.0}, "normal", True),
         ({"velocity": (0, 0, 0)}, "normal", False),
         ({"speed": 0.0}, "normal", False),
         ({"velocity": (9, 0, 0)}, "stunt", False),
     ],
 )
-def test_a_heading_rest_and_stunts_leave_the_slip_free(more, character, expected):
+def test_a_slide_rest_and_stunts_leave_the_slip_free(more, character, expected):
     assert easing(Mark(1, position=(0, 0, 0), **more), character=character).steady == [0] * expected
 
 

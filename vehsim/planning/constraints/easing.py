@@ -1,7 +1,7 @@
 """Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests.
 
-What slips sideways, such as a boat, begins as it would go there if nothing fixes its heading; what flies begins and
-ends in a coordinated turn if nothing fixes its attitude.
+What slips sideways, such as a boat, begins as it would go there unless its mark asks for a slip; what flies begins
+and ends in a coordinated turn unless its mark fixes the attitude.
 """
 
 from __future__ import annotations
@@ -34,6 +34,10 @@ Array = NDArray[np.float64]
 COORDINATED = 100.0
 """Price of x^2 where a flight begins or ends at speed; x: rates of roll and pitch, rad/s, and the bank, rad, that its
 turn lacks. A degree costs 0.03; in flight, the effort of a second costs one."""
+STEADY = 10.0
+"""Price of x^2 where what slides begins to move; x: accelerations sideways, m/s^2, and in yaw, rad/s^2."""
+STRAIGHT = np.radians(5.0)
+"""The largest angle between the nose and the velocity at a mark that is no slide, rad."""
 REST, ABRUPT = 6e3, 0.05
 """Price of imbalance x at rest, m/s^2, and of the rates x of controls, as shares of their largest: ``REST`` x^2 /
 2 up to about ``ABRUPT``, so that a thousandth remains of what the rest of the motion would gain; from there on ``REST
@@ -142,11 +146,20 @@ def balance_element(transcription: Transcription, price: float, on_ground: bool 
 
 def steady_marks(vehicle: Vehicle, marks: Sequence[Mark]) -> list[int]:
     """Indices of the marks at which a motion that is no loop begins or ends steadily: a flight at both ends where it
-    moves with a free attitude, a vehicle that slides where it begins to move with a free heading."""
+    moves with a free attitude, a vehicle that slides where it begins to move and its mark asks for no slip."""
     ends = [i for i in (0, len(marks) - 1) if marks[i].moves]
     if flies(vehicle) and is_pushed(vehicle):
         return [i for i in ends if marks[i].orientation is None]
-    return [i for i in ends if i == 0 and heading_of(marks[i]) is None] if slides(vehicle) else []
+    return [i for i in ends if i == 0 and not _slips(marks[i])] if slides(vehicle) else []
+
+
+def _slips(mark: Mark) -> bool:
+    """Whether a mark gives a velocity that is not along the nose."""
+    heading = heading_of(mark)
+    if heading is None or mark.velocity is None:
+        return False
+    ahead = np.dot(mark.velocity[:2], [np.cos(heading), np.sin(heading)])
+    return bool(ahead < np.cos(STRAIGHT) * np.linalg.norm(mark.velocity[:2]))
 
 
 def slides(vehicle: Vehicle) -> bool:
@@ -165,7 +178,7 @@ def steady_element(transcription: Transcription, price: float) -> Element:
     def make() -> Element:
         v = transcription.symbols("x", "c0")
         _, rates = _motion(transcription, v)
-        return _at_knot(transcription, v, price * _abrupt(ca.vertcat(rates[0], rates[2])))
+        return _at_knot(transcription, v, price * STEADY * ca.sumsqr(ca.vertcat(rates[0], rates[2])))
 
     return transcription.kept(("steady", price), make)
 
