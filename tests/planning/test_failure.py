@@ -308,7 +308,7 @@ def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch)
     from vehsim.planning.problem.solver import _Callback
 
     class Watched:
-        watch, content = None, False
+        watch, violations = None, staticmethod(np.zeros_like)
 
     now, watched = [0.0], Watched()
     monkeypatch.setattr("vehsim.planning.problem.solver.time", SimpleNamespace(monotonic=lambda: now[0]))
@@ -316,7 +316,7 @@ def test_a_solver_stops_before_an_iteration_that_would_end_too_late(monkeypatch)
     callback.begin(4.5)
     while not stops or not stops[-1]:
         now[0] += 1.0
-        stops.append(callback.eval([])[0])
+        stops.append(callback.eval([[0.0]] * 3)[0])
     assert len(stops) == 4 and callback.out_of_time
 
 

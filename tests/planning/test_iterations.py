@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -12,6 +13,8 @@ from vehsim.audit import track_of_clip
 from vehsim.planning import iterate, planner
 from vehsim.planning.constraints.dynamics import equations
 from vehsim.planning.guesses.routes import find_paths
+from vehsim.planning.problem import solver
+from vehsim.planning.problem.solver import FAR, FIRST, curvature
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.request import make_request
 from vehsim.runtime.progress import silent
@@ -29,6 +32,52 @@ def test_a_hessian_that_must_be_made_convex_takes_few_iterations():
     boat = vehsim.plan(vehsim.load_vehicle("boat"), None, marks((1, 0, 0, 0), (1003, 65, 39, 3)))
     assert truck.success and truck.iterations < 25
     assert boat.success and boat.iterations < 30
+
+
+def test_a_hurried_boat_takes_few_iterations():
+    """With the curvature of constraints from the first iteration, it took 33."""
+    plan = vehsim.plan(vehsim.load_vehicle("boat"), None, marks((1, 0, 0, 0), (824, 84, -23.8, -52.6)))
+    assert plan.success and plan.character == "normal" and plan.iterations < 20
+
+
+def test_the_curvature_of_constraints_counts_near_a_motion_and_after_some_iterations():
+    assert curvature(0, 1.0) == FAR
+    assert 0 < curvature(FIRST - 1, 2 * FAR) < 1
+    assert curvature(0, FAR) == curvature(FIRST, 1.0) == 1
+
+
+def test_a_hurried_helicopter_takes_few_iterations():
+    """With steps that reduce either the cost or violations, it took 20, and with the curvature of constraints 15."""
+    first, last = marks((1, 0, 0, 0), (743, 164.15, 71.6, 14))
+    last = replace(last, position=(164.15, 71.6, 3.7))
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, [first, last])
+    assert plan.success and plan.character == "normal" and plan.iterations < 12
+
+
+@pytest.mark.parametrize(
+    ("name", "last", "start"),
+    [("boat", 1003, "plane"), ("boat", "free", "open"), ("helicopter", 1003, "space"), ("truck", 1003, "open")],
+)
+def test_the_first_solve_starts_as_suits_what_guides_the_vehicle(name, last, start, monkeypatch):
+    starts = []
+    plain = solver.Solver.prepare
+    monkeypatch.setattr(solver.Solver, "prepare", lambda s, kind, *rest: starts.append(kind) or plain(s, kind, *rest))
+    plan = vehsim.plan(vehsim.load_vehicle(name), None, marks((1, 0, 0, 0), (last, 65, 9, 3)))
+    assert plan.success and starts[0] == start
+
+
+def test_a_first_solve_that_fails_is_begun_again_with_other_steps(monkeypatch):
+    starts = []
+    plain = solver.Solver.solve
+
+    def solve(self, x, *rest, start="guess", **more):
+        starts.append(rest[4] if len(rest) > 4 else start)
+        answer = plain(self, x, *rest, **more)
+        return replace(answer, success=False) if starts[-1] == "space" else answer
+
+    monkeypatch.setattr(solver.Solver, "solve", solve)
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks((1, 0, 0, 0), (1003, 65, 9, 3)))
+    assert plan.success and starts[:2] == ["space", "open"] and "space" not in starts[2:]
 
 
 def test_a_boat_held_at_rest_takes_few_iterations():

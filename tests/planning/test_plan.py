@@ -180,9 +180,9 @@ def test_patience_ends_early_if_constraints_are_missed_by_far():
     from vehsim.planning.problem.solver import EARLY, ENDLESS, Patience
 
     patience = Patience(20, early=1e-2)
-    assert next(k for k in range(1, 30) if patience.ends(k, lambda: 0.1)) == EARLY
-    assert next(k for k in range(1, 30) if patience.ends(k, lambda: 1e-3)) == 21
-    assert not any(ENDLESS.ends(k, lambda: 0.1) for k in range(1000))
+    assert next(k for k in range(1, 30) if patience.ends(k, 0.1)) == EARLY
+    assert next(k for k in range(1, 30) if patience.ends(k, 1e-3)) == 21
+    assert not any(ENDLESS.ends(k, 0.1) for k in range(1000))
 
 
 def test_patience_goes_on_where_constraints_are_nearly_met():
@@ -190,9 +190,9 @@ def test_patience_goes_on_where_constraints_are_nearly_met():
     from vehsim.planning.problem.solver import Patience
 
     patience = Patience(20, near=1e-2)
-    assert next(k for k in range(1, 60) if patience.ends(k, lambda: 1e-3)) == 31
-    assert next(k for k in range(1, 60) if patience.ends(k, lambda: 0.1)) == 21
-    assert not patience.ends(25, lambda: 1e-3) and patience.ends(25, lambda: 0.1)
+    assert next(k for k in range(1, 60) if patience.ends(k, 1e-3)) == 31
+    assert next(k for k in range(1, 60) if patience.ends(k, 0.1)) == 21
+    assert not patience.ends(25, 1e-3) and patience.ends(25, 0.1)
 
 
 @pytest.mark.parametrize(("ratio", "found"), [(1.005, "near"), (1.05, "begun")])

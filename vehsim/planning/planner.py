@@ -543,7 +543,7 @@ def _is_easy(request: Request, cover: SphereCover | None) -> bool:
 
 def _at_once(run: Run, begun: Iterate) -> Iterate:
     """A guess on the requested segments solved to the order of refined plans, if that is easy; else unchanged."""
-    solved = solve(run, replace(begun, layout=replace(begun.layout, order=ORDER), rung=0), AT_ONCE)
+    solved = solve(run, replace(begun, layout=replace(begun.layout, order=ORDER), rung=0), AT_ONCE, once=True)
     return solved if solved.success else begun
 
 

@@ -30,6 +30,7 @@ from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import path_length, split_segments
 from vehsim.planning.request.request import Request
 from vehsim.planning.trajectory import Trajectory, exported
+from vehsim.vehicles import Holonomic
 from vehsim.vehicles.definition.character import STUNT
 
 Array = NDArray[np.float64]
@@ -133,15 +134,15 @@ def give_up(iterate: Iterate, message: str) -> Iterate:
     return replace(iterate, solution=solution, stale=False, certificate=unmeasured)
 
 
-def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
+def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS, *, once: bool = False) -> Iterate:
     """Solve from the iterate's variables; the durations of legs to free marks vary until they are fixed.
 
     A solution that violates inactive constraints activates them, and is solved again: from itself if all
     their blocks say so (`Block.continues`), else from the same start. ``patience``: that of one solve; when it
-    ends, the unfinished motion is returned.
+    ends, the unfinished motion is returned. ``once``: a first attempt, with steps that take fewer iterations but may
+    fail.
     """
-    stunt = iterate.request.traits.name == STUNT
-    solved = _solve_active(run, iterate, "guess" if iterate.blocked or stunt else "open", patience)
+    solved = _solve_active(run, iterate, _start(iterate, once), patience)
     for _ in range(LOOKS):
         if run.deadline.late or not (solved.success or patience is ENDLESS):
             break
@@ -155,6 +156,17 @@ def solve(run: Run, iterate: Iterate, patience: Patience = ENDLESS) -> Iterate:
     if solved.success and not run.deadline.late:
         solved = _completed(run, solved, patience)
     return solved
+
+
+def _start(iterate: Iterate, once: bool) -> Start:
+    """What the first solve of an iterate starts from; ``once``: as for `solve`."""
+    vehicle = iterate.request.vehicle
+    if iterate.blocked or iterate.request.traits.name == STUNT:
+        return "guess"
+    # trailers fold and wheels steer: a truck takes more iterations without the curvature of its constraints
+    if not (once and isinstance(vehicle, Holonomic)):
+        return "open"
+    return "plane" if vehicle.group.planar else "space"
 
 
 def _completed(run: Run, solved: Iterate, patience: Patience) -> Iterate:

@@ -57,10 +57,11 @@ class Solution:
     """Whether its `Patience` stopped it at a motion that counts as solved."""
 
 
-Start = Literal["guess", "open", "again", "motion", "multipliers", "draft"]
-"""What a solve starts from: an initial guess; one in free space, in a character; the same guess with a larger active
-set; a solved motion of another discretisation; such a motion with its multipliers; that of a draft with its
-multipliers, when its marks moved."""
+Start = Literal["guess", "open", "plane", "space", "again", "motion", "multipliers", "draft"]
+"""What a solve starts from: an initial guess; one in free space, in a character; such a one with given durations of a
+body that no contact guides, in the plane or in space, begun again if it fails; the same guess with a larger active set;
+a solved motion of another discretisation; such a motion with its multipliers; that of a draft with its multipliers,
+when its marks moved."""
 
 MET = 1e-6
 """Largest violation of a constraint that is met, in the problem's scaled units."""
@@ -132,13 +133,29 @@ class Patience:
     near: float = 0.0
     unfinished: float = 0.0
 
-    def ends(self, count: int, violation: Callable[[], float]) -> bool:
+    def ends(self, count: int, violation: float) -> bool:
         """Whether it ends with iteration ``count``, at which constraints are missed by ``violation``."""
         if count > self.most:
             if self.unfinished:
-                return violation() <= self.unfinished
-            return count > 1.5 * self.most or violation() > self.near
-        return count == EARLY and violation() > self.early
+                return violation <= self.unfinished
+            return count > 1.5 * self.most or violation > self.near
+        return count == EARLY and violation > self.early
+
+
+FIRST, FAR = 6, 3e-2
+"""Iterations after which the curvature of constraints counts in full in the Hessian of a start in the "plane" or in
+"space", and the largest violation with which it does before."""
+
+
+def curvature(count: int, violation: float) -> float:
+    """The share of the curvature of constraints in the Hessian at iteration ``count``, from 0, which misses them by
+    ``violation``.
+
+    Far from a motion, multipliers say little, and with them the Hessian is not convex: steps are short, and each is
+    computed several times. Without them it is that of the costs, nearly a sum of squares if durations are given: a step
+    of Gauss and Newton.
+    """
+    return FAR / violation if count < FIRST and violation > FAR else 1.0
 
 
 ENDLESS = Patience()
@@ -158,18 +175,24 @@ def _warm(barrier: float, push: float) -> dict[str, Any]:
     }
 
 
+# where the cost hardly depends on the pace, steps go far along a leg: they must reduce it, not only violations
+# they are not refined, and their residuals not measured, which takes 6 % less; among obstacles it took a fifth more
+# iterations
+_OPEN = {
+    "mu_strategy": "adaptive",
+    "theta_min_fact": 1.0,
+    "max_soc": 1,
+    "fast_step_computation": "yes",
+    **_UNSCALED,
+}
+# steps reduce a merit function, the cost and weighed violations, where IPOPT's filter takes those that reduce either:
+# flights take a fifth less, boats a fifth more; without a restoration phase some solves fail
+_MERIT = {**_OPEN, "line_search_method": "penalty"}
 _BARRIERS: dict[Start, dict[str, Any]] = {
     "guess": {"mu_strategy": "adaptive"},
-    # where the cost hardly depends on the pace, steps go far along a leg: they must reduce it, not only violations
-    # they are not refined, and their residuals not measured, which takes 6 % less; among obstacles it took a fifth more
-    # iterations
-    "open": {
-        "mu_strategy": "adaptive",
-        "theta_min_fact": 1.0,
-        "max_soc": 1,
-        "fast_step_computation": "yes",
-        **_UNSCALED,
-    },
+    "open": _OPEN,
+    "plane": _OPEN,
+    "space": _MERIT,
     "again": {"mu_strategy": "monotone", "mu_init": 3e-3},
     "motion": {"mu_strategy": "monotone", "mu_init": 1e-5},
     "multipliers": _warm(1e-6, 1e-9),
@@ -272,13 +295,17 @@ class Solver:
         elif plugin == "sqpmethod":
             self._own = {"hess_lag": _whole(functions["hess_lag"])}
         self._solvers: dict[tuple[Start, float], ca.Function] = {}
+        self._share = _Share(self._callback)
 
     def prepare(self, start: Start, magnitude: float = 1.0) -> ca.Function:
         """CasADi's solver for this kind of start and this ``magnitude`` of the cost, created on first use in
         milliseconds, since functions are shared."""
         if (start, magnitude) not in self._solvers:
+            own = self._own
+            if start in ("plane", "space") and self.plugin == "ipopt" and self.end == "content":
+                own = {**own, "hess_lag": _shared(own["hess_lag"], self._share)}
             settings: dict[str, Any] = {
-                **self._own,
+                **own,
                 **SOLVERS[self.plugin](self.max_iterations, start, self.end, magnitude),
                 "iteration_callback": self._callback,
                 "print_time": False,
@@ -361,6 +388,25 @@ def _whole(hessian: ca.Function) -> ca.Function:
     return ca.Function("hess_lag", arguments, [full], hessian.name_in(), ["hess_gamma_x_x"])
 
 
+def _shared(hessian: ca.Function, share: ca.Function) -> ca.Function:
+    """The Hessian with that ``share`` of the curvature of constraints."""
+    x, p, cost, g = (ca.MX.sym(name, *hessian.size_in(i)) for i, name in enumerate(hessian.name_in()))
+    values = [hessian(x, p, cost, share(cost) * g)]
+    return ca.Function("hess_lag", [x, p, cost, g], values, hessian.name_in(), hessian.name_out())
+
+
+class _Share(ca.Callback):
+    """`curvature` at the current iterate of a solve, of which ``callback`` is told; its argument is not used."""
+
+    def __init__(self, callback: _Callback):
+        super().__init__()
+        self._callback = callback  # it keeps no reference to the solver
+        self.construct("share", {})
+
+    def eval(self, arguments: Any) -> list[float]:
+        return [self._callback.curvature]
+
+
 class _Callback(ca.Callback):
     """IPOPT's iteration callback: it reports the number of completed iterations and the variables."""
 
@@ -376,6 +422,7 @@ class _Callback(ca.Callback):
         ``patience`` ends."""
         self.patience, self.count, self.deadline = patience, 0, deadline
         self.before, self.out_of_time, self.tried = time.monotonic(), False, False
+        self.curvature = 1.0
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -403,7 +450,8 @@ class _Callback(ca.Callback):
         now = time.monotonic()
         another, self.before = now - self.before, now
         self.out_of_time = now + another > self.deadline
-        self.tried = solver is not None and self.patience.ends(
-            self.count, lambda: float(solver.violations(np.asarray(arguments[2]).ravel()).max(initial=0.0))
-        )
+        if solver is not None:
+            violation = float(solver.violations(np.asarray(arguments[2]).ravel()).max(initial=0.0))
+            self.tried = self.patience.ends(self.count, violation)
+            self.curvature = curvature(self.count - 1, violation)
         return [int(interrupts.interrupted() or self.out_of_time or self.tried)]
