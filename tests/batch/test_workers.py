@@ -11,9 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from vehsim.batch import Outcome, Task, export_batch, load_shots, workers
+from vehsim.batch.task import prepare
 from vehsim.batch.workers import Job, _dispatch
 from vehsim.runtime import processes
 from vehsim.runtime.processes import ENDING, METHODS, THREADS
@@ -207,3 +209,36 @@ def test_only_clips_that_need_a_field_wait_for_it() -> None:
 
 
 FIELDS = {"canyon1": "field", "free1": None, "canyon2": "field", "free2": None}
+
+
+FLIGHT = """[shot]
+schema = 1
+name = "flight"
+[world]
+terrain = "ground.npz"
+[[vehicle]]
+name = "heli"
+asset = "helicopter"
+[vehicle.motion]
+method = "plan"
+[[vehicle.motion.mark]]
+frame = 1
+position = [20, 20, 15]
+velocity = [0, 0, 0]
+[[vehicle.motion.mark]]
+frame = 200
+position = [60, 40, 15]
+velocity = [0, 0, 0]
+"""
+
+
+@pytest.mark.parametrize(("cells", "more", "whole"), [(20, "", True), (120, "", False), (120, "tower", True)])
+def test_the_whole_field_is_measured_only_if_flights_need_it(
+    tmp_path: Path, cells: int, more: str, whole: bool
+) -> None:
+    """Flights over a wide terrain measure the part around their marks."""
+    np.savez(tmp_path / "ground.npz", heights=np.zeros((cells, cells)), origin=(0.0, 0.0), cell=(5.0, 5.0))
+    tower = '[[world.obstacle]]\nshape = "box"\nname = "tower"\ncentre = [40, 60, 10]\nsize = [4, 4, 20]\n'
+    (tmp_path / "flight.toml").write_text(FLIGHT + (tower if more else ""))
+    (shot,) = load_shots(tmp_path / "flight.toml")
+    assert (prepare(shot, tmp_path / "out", ["usd"]).field is not None) == whole

@@ -180,9 +180,16 @@ def _work(task: Task, tell: Tell) -> Outcome:
 
 
 def measure(task: Task) -> None:
-    """Put the distance field of the task's terrain into the cache, so that only one worker measures it."""
+    """Put the distance field of the task's whole terrain into the cache, so that only one worker measures it."""
     task.load().world.distance_field(quick=True)
 
 
 def _measures(shot: Any) -> bool:
-    return any(t.motion.method == "plan" and shot.vehicle(t).group.dim == 6 for t in shot.file.vehicle)
+    """Whether a flight needs the distances to its whole terrain, as far as its marks tell."""
+    from vehsim.planning.request.request import part_around
+
+    flights = [t.motion for t in shot.file.vehicle if t.motion.method == "plan" and shot.vehicle(t).group.dim == 6]
+    if not flights or shot.world.standing:
+        return bool(flights)
+    places = [[mark.position for mark in motion.mark or () if mark.position is not None] for motion in flights]
+    return any(not each or part_around(shot.world, each) is None for each in places)

@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vehsim.clip.samples import frame_rate
 from vehsim.errors import Caution, InputError, OutsideTerrain, Problem
@@ -412,11 +412,16 @@ def search_boxes(request: Request) -> list[Array | None]:
     if world.standing:
         much = wide is None or np.prod(np.ptp(wide, axis=0)) >= FINER * np.prod(np.ptp(around, axis=0))
         return [around, wide] if much else [wide]
-    whole = world.bounds
-    if whole is None:
-        return [None]
+    near = None if world.terrain is None else part_around(world, places)
+    return [None] if near is None else [near, None]
+
+
+def part_around(world: Any, places: ArrayLike) -> Array | None:
+    """The box (2, 3) m of the part of a terrain around ``places`` (n, 3) m in which a flight to them is searched first;
+    None: the whole."""
+    whole, places = world.bounds, np.asarray(places, float)
     aside = max(ROOM, BESIDE * float(np.ptp(places, axis=0).max()))
     low, high = np.maximum(places.min(axis=0) - aside, whole[0]), np.minimum(places.max(axis=0) + aside, whole[1])
-    near = np.array([[*low[:2], whole[0, 2]], [*high[:2], whole[1, 2]]])
-    much = (high > low)[:2].all() and np.prod(np.ptp(whole, axis=0)) >= MUCH * np.prod(np.ptp(near, axis=0))
-    return [near, None] if much else [None]
+    part = np.array([[*low[:2], whole[0, 2]], [*high[:2], whole[1, 2]]])
+    much = (high > low)[:2].all() and np.prod(np.ptp(whole, axis=0)) >= MUCH * np.prod(np.ptp(part, axis=0))
+    return part if much else None
