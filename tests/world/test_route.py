@@ -78,6 +78,16 @@ def test_in_a_part_of_space_only_the_best_path_counts(canyon):
         canyon.route(START, GOAL, 7.0, box=canyon_box, best=True)
 
 
+def test_the_whole_of_a_wide_flat_terrain_is_searched_in_few_levels():
+    """Its grid of a few coarse levels ends far above its box, but no space continues there."""
+    heights = np.zeros((101, 101))
+    heights[40:61, 50] = 12.0
+    world = World(Terrain("wide", heights, cell=(200.0, 200.0)))
+    ends, field = ((9000, 10000, 7), (11000, 10000, 7)), world.distance_field(quick=True)
+    assert field.upper[2] > world.bounds[1, 2] + field.spacing
+    np.testing.assert_allclose(world.route(*ends, 3.0, best=True), world.route(*ends, 3.0))
+
+
 def test_a_ceiling_is_kept(canyon):
     assert canyon.route(START, GOAL, 5.0, ceiling=32)[:, 2].max() <= 32
 

@@ -38,12 +38,12 @@ Array = NDArray[np.float64]
 
 ROOM = 30.0
 """Margin around marks and paths within which terrain and obstacles are considered, m."""
+BESIDE = 0.5
+"""The least such margin over terrain without obstacles, relative to the distance between marks: few paths lead farther
+aside."""
 FINER = 8.0
 """Least ratio of volumes, of the box of all obstacles to that of the marks, at which paths are first searched around
 the marks: the coarse grid of the larger box has no points in a narrow gap."""
-BESIDE = 0.5
-"""The same margin over terrain without obstacles, relative to the distance between marks: few paths lead farther
-aside."""
 MUCH = 2.0
 """Least ratio of volumes, of the terrain's box to that part of it, at which distances are measured in the part only."""
 MOST_SEGMENTS = 4096
@@ -407,13 +407,14 @@ def airspace(request: Request) -> Array | None:
 def search_boxes(request: Request) -> list[Array | None]:
     """Boxes (2, 3) m in which paths are searched in turn: around the marks, if that is much less or much finer, then
     all."""
-    wide, places, world = airspace(request), mark_positions(request.marks), request.world
-    around = np.array([places.min(axis=0) - ROOM, places.max(axis=0) + ROOM])
-    if world.standing:
-        much = wide is None or np.prod(np.ptp(wide, axis=0)) >= FINER * np.prod(np.ptp(around, axis=0))
-        return [around, wide] if much else [wide]
-    near = None if world.terrain is None else part_around(world, places)
-    return [None] if near is None else [near, None]
+    world, places = request.world, mark_positions(request.marks)
+    if not world.standing:
+        part = None if world.terrain is None else part_around(world, places)
+        return [None] if part is None else [part, None]
+    wide, near = airspace(request), np.array([places.min(axis=0) - ROOM, places.max(axis=0) + ROOM])
+    if wide is not None and np.prod(np.ptp(wide, axis=0)) < FINER * np.prod(np.ptp(near, axis=0)):
+        return [wide]
+    return [near, wide]
 
 
 def part_around(world: Any, places: ArrayLike) -> Array | None:

@@ -77,11 +77,11 @@ def find_route(
 def _least_outside(field: DistanceField, ends: Array, bounds: Array | None) -> float:
     """The length of the shortest way between the ``ends`` (2, 3) m that leaves the ``field`` where the box ``bounds``
     (2, 3) m continues, m; inf if it does not."""
-    if bounds is None:
-        return np.inf
     least = np.inf
-    for border, bound in zip((field.lower, field.upper), bounds, strict=True):
-        for axis in np.flatnonzero(np.abs(border - bound) > field.spacing):
+    if bounds is None:
+        return least
+    for border, continues in ((field.lower, field.lower > bounds[0]), (field.upper, field.upper < bounds[1])):
+        for axis in np.flatnonzero(continues):
             mirrored = ends[1].copy()
             mirrored[axis] = 2 * border[axis] - mirrored[axis]
             least = min(least, float(np.linalg.norm(mirrored - ends[0])))
