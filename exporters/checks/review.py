@@ -52,6 +52,8 @@ RESTS, MOVES = 0.01, 1.0
 """Speeds, m/s: below the first a vehicle rests; above the second its slip is measured."""
 SETTLES = 2.0
 """Seconds before and after rest in which a vehicle settles."""
+STAYS = 0.1
+"""Seconds for which a vehicle rests where it stops; for less, it only turns back there."""
 
 
 def review(clip: Clip, world: World | None = None, character: str = NORMAL) -> list[dict[str, Any]]:
@@ -159,7 +161,7 @@ def _curves(track: Track, vehicle: Any, world: World | None) -> Iterator[_Curve]
         yield _Curve(name, LIMITS[name].unit, MEASURES[name](track, planar, Scene()), traits.limits.get(name))
     yield reviewed("jerk", _jerk(track))
     yield reviewed("slip", _slip(track, vehicle))
-    yield reviewed("settling", _settling(track))
+    yield reviewed("settling", _settling(track, vehicle))
     if track.controls is None or not len(vehicle.controls):
         return
     if (power := _power(track, vehicle, world)) is not None:
@@ -244,21 +246,40 @@ def _rests(track: Track) -> NDArray[np.intp]:
     return np.flatnonzero(np.linalg.norm(track.velocities, axis=1) < RESTS)
 
 
-def _settling(track: Track) -> Array:
-    """Detour of the vehicle within two seconds of rest: the length of its path minus the distance, m."""
-    found, rests = np.full(len(track.frames), np.nan), _rests(track)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track.positions, axis=0), axis=1))])
-    reach, last = round(SETTLES * float(track.fps) * PER_FRAME), len(track.frames) - 1
-    for side in (-1, 1):
-        others = np.setdiff1d(rests, rests + side)  # the last sample at rest on this side
-        for k in rests[~np.isin(rests + side, rests)].tolist():
-            end = int(np.clip(k + side * reach, 0, last))
-            between = others[(others > min(k, end)) & (others < max(k, end))]
-            if len(between):
-                end = int(between.min() if side > 0 else between.max())
-            vain = abs(length[end] - length[k]) - float(np.linalg.norm(track.positions[end] - track.positions[k]))
-            found[k] = np.nanmax([found[k], max(vain, 0.0)])
+def _settling(track: Track, vehicle: Any) -> Array:
+    """How far the body's origin goes to and fro within two seconds of rest, m, seen from above or, if it flies, in
+    height; nan elsewhere."""
+    found, reach = np.full(len(track.frames), np.nan), round(SETTLES * float(track.fps) * PER_FRAME)
+    stays, last = _stays(track), len(found) - 1
+    places = track.positions + track.rotations @ vehicle.origin
+    ways = (slice(0, 2),) if vehicle.group.planar else (slice(0, 2), slice(2, 3))
+    for k, (begin, end) in enumerate(stays):
+        since = (stays[k - 1][1] + begin) // 2 if k > 0 else 0
+        until = (end + stays[k + 1][0]) // 2 if k + 1 < len(stays) else last
+        arrival = places[max(since, begin - reach) : begin + 1][::-1]
+        departure = places[end : min(until, end + reach) + 1]
+        for i, leg in ((begin, arrival), (end, departure)):
+            found[i] = np.nanmax([found[i], *(_to_and_fro(leg[:, way]) for way in ways)])
     return found
+
+
+def _stays(track: Track) -> list[tuple[int, int]]:
+    """The first and last sample of each time at which the vehicle rests and does not only turn back."""
+    rests = _rests(track)
+    runs = np.split(rests, np.flatnonzero(np.diff(rests) > 1) + 1) if len(rests) else []
+    ends, least = {0, len(track.frames) - 1}, STAYS * float(track.fps) * PER_FRAME
+    return [(int(run[0]), int(run[-1])) for run in runs if len(run) > least or ends & {run[0], run[-1]}]
+
+
+def _to_and_fro(places: Array) -> float:
+    """How far a path (n, d), which starts at rest, comes nearer again to a place where it was, m: the largest sum.
+
+    A smooth bend of less than half a turn never does so; what passes its mark and returns does so by the way back.
+    """
+    places = places[:: -(-len(places) // POINTS)]
+    distances = np.linalg.norm(places[:, None] - places[None], axis=2)
+    nearer = np.triu(np.maximum(distances[:, :-1] - distances[:, 1:], 0.0))  # from each place on
+    return float(nearer.sum(axis=1).max())
 
 
 def _use(controls: Array, lower: Array, upper: Array, idle: Array) -> Array:

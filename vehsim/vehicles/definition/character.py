@@ -45,7 +45,7 @@ REVIEWED: Mapping[str, Trait] = {
     "jerk": Trait(2.5, 5.0, 10.0, "ISO 11270: 5 m/s^3 sideways on average over half a second; the rest is our choice"),
     "saturation": Trait(0.02, 0.05, 0.2, "our choice: share of the time with a control at its bound"),
     "reversals": Trait(15.0, 30.0, 60.0, "our choice: turns of a control by a tenth of its range, per minute"),
-    "settling": Trait(0.05, 0.1, 0.2, "our choice: path length minus distance, within two seconds of rest"),
+    "settling": Trait(0.05, 0.1, 0.2, "our choice: a hand's breadth to and fro, within two seconds of rest"),
     "ease": Trait(0.01, 0.01, 0.01, "our choice: share of its largest rate that a control has where a motion rests"),
 }
 """The default envelopes of a review, SI; `slip` and `power` have none."""
