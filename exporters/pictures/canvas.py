@@ -40,6 +40,21 @@ def _without_opengl(error: Exception) -> ExportError:
     return ExportError(f"{missing}: {_first_line(error)}", remedy)
 
 
+def _measure_haze_ahead() -> None:
+    """Make the signed depth decide on haze in MuJoCo's context, which is current, where Mesa draws.
+
+    OpenGL takes the absolute depth at each vertex: a corner of a face far behind the camera would count as far ahead,
+    and bring haze to the camera on ground of kilometres. Of other drivers, the sign of the depth was not measured.
+    """
+    from OpenGL import GL
+    from OpenGL.GL.NV import fog_distance
+
+    if b"Mesa" in GL.glGetString(GL.GL_VERSION) and fog_distance.glInitFogDistanceNV():
+        GL.glFogi(fog_distance.GL_FOG_DISTANCE_MODE_NV, GL.GL_EYE_PLANE)
+        for end in (GL.GL_FOG_START, GL.GL_FOG_END):  # a depth ahead is negative
+            GL.glFogf(end, -float(GL.glGetFloatv(end)))
+
+
 class Canvas:
     """An off-screen OpenGL context with MuJoCo's renderer and one scene. Raises ``ExportError`` without EGL."""
 
@@ -61,6 +76,7 @@ class Canvas:
             raise ExportError(message, "ask for a smaller render.size or fewer render.samples") from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        _measure_haze_ahead()
         self._model = model
         self._backdrop = Backdrop(model, self._context)
         self._casting = (model.geom_group == CASTING).any()

@@ -245,6 +245,30 @@ def test_haze_in_empty_space_equals_that_of_wide_ground(new_stage):
     assert red > 2.0 * green
 
 
+def test_haze_does_not_depend_on_the_size_of_faces(new_stage):
+    """Corners far behind the camera counted as far ahead: ground of two large faces was in haze at the camera."""
+    from pxr import Gf, UsdGeom, Vt
+
+    mesh, pictures = UsdGeom.Mesh.Define(new_stage, "/top/ground"), []
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(0.4, 0.02, 0.02)])
+    for pieces in (1, 200):
+        line = np.linspace(-1500, 1500, pieces + 1)
+        points = np.stack([*np.meshgrid(line, line), np.full((pieces + 1,) * 2, -1.5)], axis=-1).reshape(-1, 3)
+        row, column = np.divmod(np.arange(pieces**2), pieces)
+        corners = (row * (pieces + 1) + column)[:, None] + [0, 1, pieces + 2, pieces + 1]
+        mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
+        mesh.CreateFaceVertexCountsAttr([4] * pieces**2)
+        mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.astype(np.int32).ravel()))
+        new_stage.GetRootLayer().Save()
+        with StageRenderer(StageReader(new_stage.GetRootLayer().realPath), SIZE, samples=1) as renderer:
+            pictures.append(renderer.render("main", 1)[SIZE[1] // 2 + 2 :].astype(float))  # below the horizon
+    large, small = pictures
+    assert np.abs(large - small).mean() < 2
+    for picture in pictures:
+        far, near = (picture[rows].reshape(-1, 3).mean(axis=0) for rows in (slice(2), slice(-4, None)))
+        assert near[0] / near[1] > 1.5 * far[0] / far[1]
+
+
 def test_a_picture_is_complete_or_absent(new_stage, tmp_path, monkeypatch):
     from PIL import Image
 
