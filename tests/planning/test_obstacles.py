@@ -515,6 +515,16 @@ def test_guesses_drive_no_tighter_than_the_car_can(car):
     assert np.median(turn / np.maximum(way, 1e-9)) < 1 / turning_radius(car) + 1e-3
 
 
+def test_a_heading_decides_on_which_side_a_guess_passes():
+    """Round the far side of the depot, a truck would have to turn by 270 degrees at the end, on 111 m."""
+    truck = vehsim.load_vehicle("truck")
+    parts = [(ob.box("depot", (40.0, 20.0, 0), (30, 10, 8)), 0)]
+    path = guess_drive(truck, parts, np.array([(0.0, 0, 0), (62.0, 30.0, 0)]), (0.0, np.pi / 2), 0.5)
+    assert np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum() < 85
+    assert np.abs(np.diff(path[:, 3])).sum() < np.pi
+    assert clearances(parts, placed(ob.footprint(truck), path[:, :2], path[:, 3]), np.zeros(len(path))).min() > 0
+
+
 def test_a_boat_is_guessed_to_turn_in_arcs_of_its_length():
     boat = vehsim.load_vehicle("boat")
     parts = [(ob.box("jetty", (20.0, 4.5, 0), (16, 2.4, 1.5)), 0)]

@@ -50,6 +50,9 @@ STEPS = (1.0, 0.3)
 EARLY, EACH, TRIED = 50, 8, 2
 """Curves to the goal are tried from each of the first `EARLY` poses, then from one of `EACH`: in each gear the shortest
 `TRIED`."""
+DETOUR, SHORTER = 1.2, 0.9
+"""A path that costs more than so many times the way over the ground is searched from its other end too, with `EARLY`
+poses; what is found there is taken if it costs no more and is at most so long, relative to the first."""
 LOOP = 1.5
 """A vehicle without constraints, such as a boat, goes sideways rather than along arcs longer by this factor."""
 SHIFTED = 6
@@ -289,8 +292,9 @@ class _Arc:
 class _Search:
     """Hybrid A*: poses connected by arcs of equal length; each cell and heading keeps its cheapest pose.
 
-    The search starts from the end nearer to obstacles: a path out of a gap is found sooner than a path into it. Poses
-    may be ``slack`` m too near to obstacles, since distances between cells are not exact.
+    The search starts from the end nearer to obstacles: a path out of a gap is found sooner than a path into it. Where
+    that path is a detour, it may have passed an obstacle on the wrong side for the heading at its end, and is searched
+    from the other end too. Poses may be ``slack`` m too near to obstacles, since distances between cells are not exact.
     """
 
     def __init__(
@@ -310,10 +314,18 @@ class _Search:
 
     def find(self) -> Array | None:
         """Poses (k, 3) x, y m and heading rad from start to goal, or None if none was found."""
-        if self.headings[1] is None or self.own[0] <= self.own[1]:
-            return self._from(0, 1)
-        found = self._from(1, -1)
-        return None if found is None else found[::-1]
+        end = 0 if self.headings[1] is None or self.own[0] <= self.own[1] else 1
+        lengths = self._lengths_from(end)
+        cost, found, self.looked = self._from(end, lengths, POSES)
+        detour = cost > DETOUR * lengths[self.ground.index(self.ground.ends[end])]
+        if found is None or self.headings[1] is None or not detour:
+            return found
+        other, path, _ = self._from(1 - end, self._lengths_from(1 - end), EARLY)
+        return path if path is not None and other <= cost and _length(path) <= SHORTER * _length(found) else found
+
+    def _lengths_from(self, end: int) -> Array:
+        """Costs (nx, ny) of the cheapest paths over the ground to the other end, whatever the headings."""
+        return self.ground.lengths_to(1 - end, self.ground.partly)[0]
 
     def _prices(self, poses: Array) -> Array:
         """Cost (n,) of a metre at poses (n, 3), inf nearer than the clearance; near an end with less, what that end has
@@ -323,13 +335,14 @@ class _Search:
         spare = self.ground.margins(poses) - demanded
         return np.where(spare >= -self.slack, self.ground.priced(spare), np.inf)
 
-    def _from(self, end: int, ahead: int) -> Array | None:
-        """Poses from one end to the other; ``ahead``: the preferred gear, 1 or -1."""
+    def _from(self, end: int, lengths: Array, most: int) -> tuple[float, Array | None, int]:
+        """Cost and poses, from start to goal, of a path that is searched from an ``end``, inf and None if none was
+        found; and the number of poses expanded, at most ``most``. ``lengths``: as of `_lengths_from`."""
         ground = self.ground
+        ahead = 1 if end == 0 else -1  # the gear in which it drives forwards from start to goal
         start, goal = ground.ends[end], ground.ends[1 - end]
         heading, wanted = self.headings[end], self.headings[1 - end]
         assert heading is not None
-        lengths, _ = ground.lengths_to(1 - end, ground.partly)
         (left, low), cell, (nx, ny) = ground.lower.tolist(), ground.cell, ground.shape
         near, close = 1.5 * self.step, 2.5 * self.turn
         queue: list[tuple[float, int]] = [(0.0, 0)]
@@ -337,21 +350,22 @@ class _Search:
         drives = [_Arc(0.0, ahead)]
         best: dict[tuple[int, int, int, int], float] = {}
         least, last, curve = math.inf, 0, np.empty((0, 3))  # the cheapest path that ends in a curve to the goal
-        while queue and self.looked < POSES:
+        looked = 0
+        while queue and looked < most:
             promised, k = heapq.heappop(queue)
-            if least < promised * (1 + self.looked / PATIENCE):
+            if least < promised * (1 + looked / PATIENCE):
                 break
             x, y, angle = poses[k]
             here, drive = costs[k], drives[k]
             if best.get(self._key(x, y, angle, drive.gear), math.inf) < here:
                 continue
-            self.looked += 1
+            looked += 1
             off = 0.0 if wanted is None else abs((angle - wanted + math.pi) % (2 * math.pi) - math.pi)
             if math.hypot(x - goal[0], y - goal[1]) < near and off < close:
                 path = self._shifted(self._back(k, poses, parents), goal, angle if wanted is None else wanted)
                 if np.isfinite(self._prices(path[-SHIFTED:])).all():
-                    return path
-            if wanted is not None and (self.looked < EARLY or self.looked % EACH == 0):
+                    return here, path[::ahead], looked
+            if wanted is not None and (looked < EARLY or looked % EACH == 0):
                 for cost, way in self._curves(poses[k], (float(goal[0]), float(goal[1]), wanted), ahead, drive.gear):
                     if here + cost < least:
                         least, last, curve = here + cost, k, way
@@ -375,7 +389,8 @@ class _Search:
                 costs.append(cost)
                 drives.append(arc)
                 heapq.heappush(queue, (cost + EAGER * lengths[i, j], len(poses) - 1))
-        return np.vstack([self._back(last, poses, parents), curve]) if least < math.inf else None
+        found = np.vstack([self._back(last, poses, parents), curve])[::ahead] if least < math.inf else None
+        return least, found, looked
 
     def _key(self, x: float, y: float, angle: float, gear: int) -> tuple[int, int, int, int]:
         left, low = self.ground.lower
