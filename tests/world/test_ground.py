@@ -213,6 +213,19 @@ def test_beyond_the_grip_of_tyres_the_body_leans_as_at_their_limit():
     assert limit > roll(9.0) > 0.05
 
 
+@pytest.mark.parametrize(
+    "climb, advised", [(0.0, "limits = { grip = 0.9 }"), (0.3, "limits = { grip = 0.8 }: the slope there needs 0.3 g")]
+)
+def test_the_grip_that_is_advised_leaves_what_the_slope_needs(climb, advised):
+    """The limit ignores slopes: planned with the 0.9 that was advised, tyres on a slope needed more than they have."""
+    x = np.arange(-60, 61, 10.0)
+    world = World(Terrain("slope", climb * np.tile(x, (len(x), 1)), (x[0], x[0]), (10.0, 10.0)))
+    start = vehsim.State(twist=(1.5, 15.0, 0.0), joints=(0.0, 2.6 / 10))
+    with pytest.warns(UserWarning, match="more than the grip of tyres") as caught:
+        vehsim.simulate(CAR, world, [0.0, 0.0], start=start, duration=0.5)
+    assert str(caught[0].message).endswith(advised)
+
+
 def test_wheels_come_from_the_asset():
     wheels = {wheel.travel: wheel for wheel in wheels_of(CAR.rig)}
     assert set(wheels) == {"travel_rl", "travel_rr", "travel_fl", "travel_fr"}
