@@ -47,6 +47,10 @@ QUADRATURES: dict[str, tuple[float, float]] = {
 """Weights of a segment's force impulse: (near end, far end) for the momentum at either end."""
 
 
+Loads = tuple[tuple[Expr, Expr], tuple[Expr, Expr]]
+"""Applied forces and forces of a potential, each on the joints (s,) and on the group (d,)."""
+
+
 @dataclass(frozen=True, eq=False)
 class DiscreteMechanics:
     """Expressions and functions of one segment of ``vehicle``.
@@ -89,8 +93,22 @@ class DiscreteMechanics:
         ``bend`` is the part of ``left`` that depends most nonlinearly on ``z``, and is cheap to differentiate; ``push``
         is the contribution of forces.
         """
+        v, wind = self.vehicle, self.symbols["wind"]
+
+        def loads(_: int, g: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Loads:
+            return v.force(g, r, u, xi, c, wind), conservative(v, g, r)
+
+        return self.segment_under(loads)
+
+    def segment_under(
+        self, loads: Callable[[int, Expr, Expr, Expr, Expr, Expr], Loads], end: Expr | None = None
+    ) -> dict[str, Expr]:
+        """`segment` under ``loads``: ``(k, g, r, u, xi, c) -> `` forces at its start (k = 0) and its end (k = 1).
+
+        ``end`` (size,): symbols that stand for ``g1`` there; by default they are its expression.
+        """
         v, y = self.vehicle, self.symbols
-        g, r, z, c0, c1, h, wind = (y[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind"))
+        g, r, z, c0, c1, h = (y[name] for name in ("g", "r", "z", "c0", "c1", "h"))
         tau = difference_map(self.map_name, v.group)
 
         middle, rate = self._middle(r, z, self.driven((c0 + c1) / 2), h)
@@ -100,12 +118,12 @@ class DiscreteMechanics:
         g1, r1 = v.group.compose(g, tau.tau(x)), r + h * u
         shape = shape_gradient(v, middle, u, xi)
 
-        start, end = v.force(g, r, u, xi, c0, wind), v.force(g1, r1, u, xi, c1, wind)
+        start, steady = loads(0, g, r, u, xi, c0)
+        stop, steady1 = loads(1, g1 if end is None else end, r1, u, xi, c1)
         near, far = QUADRATURES[self.quadrature]
         # forces of a potential stay variational: half of each end's impulse at that end, for every quadrature
-        steady, steady1 = conservative(v, g, r), conservative(v, g1, r1)
-        before = [h * (near * a + far * b + p / 2) for a, b, p in zip(start, end, steady, strict=True)]
-        after = [h * (far * a + near * b + p / 2) for a, b, p in zip(start, end, steady1, strict=True)]
+        before = [h * (near * a + far * b + p / 2) for a, b, p in zip(start, stop, steady, strict=True)]
+        after = [h * (far * a + near * b + p / 2) for a, b, p in zip(start, stop, steady1, strict=True)]
         left = project(v, r, on_joints - h / 2 * shape - before[0], tau.dual(x, on_group) - before[1])
         right = project(v, r1, on_joints + h / 2 * shape + after[0], tau.dual_end(x, on_group) + after[1])
         damped = [h * (near + far) * f for f in start]
@@ -244,7 +262,7 @@ class DiscreteMechanics:
         restricted = project(v, r, *momentum(v, r, u, xi))
         still = ca.SX.zeros(z.shape[0])
         mass, rest = (ca.substitute(x, z, still) for x in (ca.jacobian(restricted, z), restricted))
-        solved = ca.solve(mass, pi - rest) if z.shape[0] else z
+        solved = ca.ldl_solve(pi - rest, *ca.ldl(mass)) if z.shape[0] else z
         values = ca.substitute([u, xi], [z], [ca.densify(solved)])
         return ca.Function("knot_velocity", [r, pi, c], values)
 

@@ -94,7 +94,8 @@ def cost_element(
 
     def make() -> Element:
         v = transcription.symbols("x", "x1", "c0", "c1", "h")
-        view, vehicle = segment_view(transcription, v), transcription.vehicle
+        inner: list[tuple[Any, Any]] = []
+        view, vehicle = segment_view(transcription, v, inner=inner), transcription.vehicle
         parameters = {weight_of(name): ca.SX.sym(name) for name in names}
         total = sum((parameters[weight_of(name)] * COSTS[name](view) for name in names), ca.SX(0))
         most = {name: ca.SX.sym(name) for name in (*limits, *rates)}
@@ -111,7 +112,7 @@ def cost_element(
         if most:
             parameters |= {_most(name): symbol for name, symbol in most.items()} | {PRICE: ca.SX.sym("price")}
             total += EXCESS * parameters[PRICE] * excess
-        return Element("cost", ca.vertcat(*v.values()), parameters, f=total)
+        return Element("cost", ca.vertcat(*v.values()), parameters, f=total, inner=inner)
 
     return transcription.kept(("cost", names, limits, rates), make)
 

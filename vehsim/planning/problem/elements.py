@@ -74,8 +74,8 @@ class Element:
     """Symbols in ``f`` and ``g`` that are looked up, an expression of where, and the function of it that calls for
     their values, in place of which steps would take many operations. Derivatives treat them as constants."""
     inner: Sequence[tuple[Any, Any]] = ()
-    """Symbols (m,) in ``g``, and the expressions (m,) of ``y``, the parameters and earlier symbols that they stand for.
-    Derivatives follow the chain rule through them, which takes fewer operations where ``m`` is small."""
+    """Symbols (m,) in ``f`` and ``g``, and the expressions (m,) of ``y``, the parameters and earlier symbols that they
+    stand for. Derivatives follow the chain rule through them, which takes fewer operations where ``m`` is small."""
     reduced: tuple[Sequence[int], Callable[[], Element]] | None = None
     """Indices of the variables (m,) which the first ``m`` rows determine from the others, and the element without both,
     for problems in which no other element reads them."""
@@ -122,7 +122,13 @@ class Element:
     @cached_property
     def gradient(self) -> ca.Function:
         """``(y, p) -> (f, df/dy)``, dense."""
-        return self.function("gradient", [ca.densify(self.f), ca.densify(ca.gradient(self.f, self.y))])
+        slopes = self._through_inner(ca.jacobian(self.f, self._all))
+        return self.function("gradient", [ca.densify(self.f), ca.densify(slopes.T)])
+
+    @property
+    def _all(self) -> Any:
+        """``y`` and all inner symbols."""
+        return ca.vertcat(self.y, *(symbols for symbols, _ in self.inner))
 
     @cached_property
     def _chain(self) -> list[Any]:
@@ -134,7 +140,10 @@ class Element:
     @cached_property
     def _slopes(self) -> Any:
         """dg/dy."""
-        slopes = ca.jacobian(self.g, ca.vertcat(self.y, *(symbols for symbols, _ in self.inner)))
+        return self._through_inner(ca.jacobian(self.g, self._all))
+
+    def _through_inner(self, slopes: Any) -> Any:
+        """Derivatives by ``y``, from those by ``y`` and the inner symbols."""
         for inner in reversed(self._chain):
             n = inner.shape[1]
             slopes = slopes[:, :n] + slopes[:, n:] @ inner
@@ -163,7 +172,7 @@ class Element:
         weights = [ca.SX.sym("weights", each.shape[0]) for each in symbols]
         for weight, (_, expressions) in zip(weights, self.inner, strict=True):
             value += ca.dot(weight, expressions)
-        hessian, gradient = ca.hessian(value, ca.vertcat(self.y, *symbols))
+        hessian, gradient = ca.hessian(value, self._all)
         known = []
         for weight, inner in reversed(list(zip(weights, self._chain, strict=True))):
             n = inner.shape[1]

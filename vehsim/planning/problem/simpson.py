@@ -9,15 +9,13 @@ what exact conservation costs.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
 from vehsim.lie import SO3
 from vehsim.planning.problem.elements import Element, SpatialField
-from vehsim.vehicles.definition.holonomic import Holonomic
-from vehsim.vehicles.definition.mechanics import conservative, free_velocity, momentum, project, shape_gradient
+from vehsim.vehicles.definition.mechanics import free_velocity, momentum, project, shape_gradient
 
 if TYPE_CHECKING:
     from vehsim.planning.problem.transcription import Transcription
@@ -48,8 +46,12 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
     laws, ground = _laws(t), t.ground
     cells, pieces, airs = (ca.SX.sym(name + "s", laws.size1_in(name), 3) for name in ("cell", "piece", "air"))
 
-    u, xi = m.knot_velocity(r, pi, a)
-    u1, xi1 = m.knot_velocity(r1, pi1, b)
+    rates = [ca.vertcat(*m.knot_velocity(*at)) for at in ((r, pi, a), (r1, pi1, b))]
+    inner = []
+    if t.sizes[1]:  # the inverse of a mass matrix that depends on the joints takes many operations
+        inner = [(ca.SX.sym(f"rate{k}", rate.shape[0]), rate) for k, rate in enumerate(rates)]
+        rates = [symbols for symbols, _ in inner]
+    (u, xi), (u1, xi1) = (ca.vertsplit(rate, [0, t.sizes[1], rate.shape[0]]) for rate in rates)
     g_dot, _, push, turned = laws(g, r, u, xi, a, wind, cells[:, 0] - depth, pieces[:, 0], airs[:, 0])
     g1_dot, _, push1, turned1 = laws(g1, r1, u1, xi1, b, wind, cells[:, 1] - depth, pieces[:, 1], airs[:, 1])
     gm, rm = (g + g1) / 2 + h / 8 * (g_dot - g1_dot), (r + r1) / 2 + h / 8 * (u - u1)
@@ -63,19 +65,19 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
         start_ + h / 6 * (x + 4 * y + z) for start_, x, y, z in ((g, g_dot, gm_dot, g1_dot), (r, u, um, u1))
     )
     missed, gained = next_g - g1, h / 6 * (push + 4 * pushm + push1)
-    inner, rest = [], []
+    rest = []
     if t.vehicle.group.size > t.vehicle.group.dim:
         sizes = {"mean": 4, "half": 3, "turn": 3, "bend": pi.shape[0]}
         mean, half, turn, bend = (ca.SX.sym(name, size) for name, size in sizes.items())
         gm[0:4] = _halfway(mean, half)
-        inner = [(mean, (g[0:4] + g1[0:4]) / 2), (half, h / 16 * (xi - xi1)[0:3])]
+        inner += [(mean, (g[0:4] + g1[0:4]) / 2), (half, h / 16 * (xi - xi1)[0:3])]
         rest = [(turn, _rotation(xi[0:3], xim[0:3], xi1[0:3], h))]
         rest += [(bend, pi - 2 * pim + pi1 - h / 4 * (turned1 - turned))]
         missed[0:4] = _unturned(g[0:4] - g1[0:4], mean, turn)
         gained -= h / 30 * _gyroscopic(t, r_, bend)
-    inner += _blowing(t, airs[:, :2], (g, xi), (g1, xi1))
+    inner += t.blown(airs[:, :2], (g, xi), (g1, xi1))
     inner.append((pose, ca.vertcat(gm, rm)))
-    inner += _blowing(t, airs[:, 2], (g_, xim))
+    inner += t.blown(airs[:, 2], (g_, xim))
     velocity = [(v["z"], m.knot_velocity_guess(r_, between, middle))] if reduced else []
     at_end = (pi1 - pi - gained) / t.momentum_scale
     residuals = [] if reduced else [(pim - between) / t.momentum_scale]
@@ -142,32 +144,19 @@ def _on_group(vehicle: Vehicle, r: Expr, force: Expr) -> Expr:
     return project(vehicle, r, ca.SX.zeros(r.shape[0]), force)
 
 
-def _blowing(t: Transcription, airs: Expr, *motions: tuple[Expr, Expr]) -> list[tuple[Expr, Expr]]:
-    """``airs`` (n, k), velocities through the air, with their expressions at k ``motions``: pairs of a pose and a
-    velocity."""
-    n, vehicle = airs.shape[0], t.vehicle
-    if not n or not isinstance(vehicle, Holonomic):
-        return []
-    wind = t.air["wind"]
-    return [(airs[:, k], vehicle.through_air(*motion, wind)[-n:]) for k, motion in enumerate(motions)]
-
-
 def _laws(t: Transcription) -> ca.Function:
     """``(g, r, u, xi, c, wind, cell, piece) -> (g_dot, pi, pi_dot, turned)``: the rate of the group's coordinates, the
     restricted momentum with its rate, and the gyroscopic part of that; ``cell, piece`` as in `Transcription.within`."""
     m = t.mechanics
     g, r, c, wind = (m.symbols[name] for name in ("g", "r", "c0", "wind"))
-    cell, piece, vehicle = t.within
-    group, air = vehicle.group, ca.SX.sym("air", 0)
-    if isinstance(vehicle, Holonomic) and not group.planar and (vehicle.drag or vehicle.rotors):
-        air = ca.SX.sym("air", 3)
-        vehicle = replace(vehicle, air=air)
+    cell, piece, air = (ca.SX.sym(name, t.loads.size1_in(name)) for name in ("cell", "piece", "air"))
+    vehicle, group = t.vehicle, t.vehicle.group
     u, xi = ca.SX.sym("u", r.shape[0]), ca.SX.sym("xi", group.dim)
     p, mu = momentum(vehicle, r, u, xi)
-    applied, steady = vehicle.force(g, r, u, xi, c, wind), conservative(vehicle, g, r)
-    on_joints = shape_gradient(vehicle, r, u, xi) + applied[0] + steady[0]
+    *applied, on_joints, on_group = t.loads(g, r, u, xi, c, wind, cell, piece, air)
+    on_joints += shape_gradient(vehicle, r, u, xi) + applied[0]
     turned = group.ad(xi).T @ mu
-    on_group = turned + applied[1] + steady[1]
+    on_group += turned + applied[1]
     # the free directions turn with the joints
     fixed_p, fixed_mu = ca.SX.sym("p", p.shape[0]), ca.SX.sym("mu", mu.shape[0])
     turning = ca.jtimes(project(vehicle, r, fixed_p, fixed_mu), r, u) if r.shape[0] else 0

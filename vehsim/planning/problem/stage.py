@@ -64,12 +64,28 @@ def between_view(transcription: Transcription, segment: dict[str, Expr], s: Expr
     )  # fmt: skip
 
 
-def segment_view(transcription: Transcription, segment: dict[str, Expr], time: Expr = 0.0) -> SegmentView:
-    """The view of a segment (x, x1, c0, c1, h)."""
+def segment_view(
+    transcription: Transcription,
+    segment: dict[str, Expr],
+    time: Expr = 0.0,
+    inner: list[tuple[Expr, Expr]] | None = None,
+) -> SegmentView:
+    """The view of a segment (x, x1, c0, c1, h); ``inner`` receives symbols that stand for the velocities in it, see
+    `Element.inner`."""
     x, x1, c0, c1, h = (segment[name] for name in ("x", "x1", "c0", "c1", "h"))
     a, b = knot_view(transcription, x, c0, time), knot_view(transcription, x1, c1, time + h)
+    if inner is not None:
+        a, b = _apart(a, inner), _apart(b, inner)
     a, b = (replace(view, acceleration=_bend(s, h, a, b)) for s, view in ((0, a), (1, b)))
     return SegmentView(a, b, c0, c1, h)
+
+
+def _apart(view: KnotView, inner: list[tuple[Expr, Expr]]) -> KnotView:
+    """The view in symbols of its velocities, which ``inner`` receives with their expressions."""
+    values = {name: value for name in ("velocity", "joint_rates") if (value := getattr(view, name)).shape[0]}
+    symbols: dict[str, Any] = {name: ca.SX.sym(name, value.shape[0]) for name, value in values.items()}
+    inner += [(symbols[name], value) for name, value in values.items()]
+    return replace(view, **symbols)
 
 
 def clip_view(

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.continuous import local_equations
-from vehsim.integrators.discrete import mechanics_of
+from vehsim.integrators.discrete import Loads, mechanics_of
 from vehsim.lie.maps import DEFAULT_MAP
 from vehsim.planning.problem.elements import Element, SpatialField
-from vehsim.vehicles import Vehicle
+from vehsim.vehicles import Holonomic, Vehicle
+from vehsim.vehicles.definition.mechanics import conservative
 from vehsim.vehicles.definition.resistance import in_pieces, speeds_of
 from vehsim.world.ground.below import Below
 from vehsim.world.ground.slope import Weight
@@ -77,23 +78,33 @@ class Transcription:
 
         Parameters: `air`.
         """
-        v, wind, depth = self.symbols("x", "z", "c0", "c1", "x1", "h"), self.air["wind"], self.air.get("depth", 0)
+        m, v = self.mechanics, self.symbols("x", "z", "c0", "c1", "x1", "h")
         g, r, pi = self.split(v["x"])
         g1, r1, pi1 = self.split(v["x1"])
-        given = (g, r, v["z"], v["c0"] * self.control_scale, v["c1"] * self.control_scale, v["h"], wind)
-        segment, ground = self._segment(*self.within), self.ground
-        cells, piece = ca.SX.sym("cells", segment.size1_in("cell"), 2), ca.SX.sym("piece", segment.size1_in("piece"))
-        left, _, next_g, next_r = segment(*given, cells[:, 0] - depth, piece)
-        _, right, _, _ = segment(*given, cells[:, 1] - depth, piece)
+        c0, c1 = v["c0"] * self.control_scale, v["c1"] * self.control_scale
+        wind, depth, ground = self.air["wind"], self.air.get("depth", 0), self.ground
+        cells, airs = (ca.SX.sym(name + "s", self.loads.size1_in(name), 2) for name in ("cell", "air"))
+        piece, end = ca.SX.sym("piece", self.loads.size1_in("piece")), ca.SX.sym("end", g.shape[0])
+
+        def loads(k: int, *motion: Any) -> Loads:
+            forces: Any = self.loads(*motion, wind, cells[:, k] - depth, piece, airs[:, k])
+            return forces[:2], forces[2:]
+
+        segment = m.segment_under(loads, end)
+        given = [m.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h")]
+        found = [segment[name] for name in ("left", "right", "g1", "r1")]
+        left, right, next_g, next_r = ca.substitute(found, given, [g, r, v["z"], c0, c1, v["h"]])
         residuals = ((left - pi) / self.momentum_scale, (right - pi1) / self.momentum_scale, next_g - g1, next_r - r1)
         space = None
         if ground is not None:
             places = ca.horzcat(ground.place(g), ground.place(next_g))
             models = ca.vertcat(ca.SX.sym("places", 2, 2), cells)
             space = SpatialField(places, models, lambda count, order: ground.cells(count))
-        looked_up = self.looked_up(piece, (g, v["z"]))  # a segment has one velocity
-        y, rows = ca.vertcat(*v.values()), ca.vertcat(*residuals)
-        return Element("dynamics", y, self.air, g=rows, space=space, looked_up=looked_up)
+        blown = self.blown(airs, (g, v["z"]), (end, v["z"]))  # a segment has one velocity
+        return Element(
+            "dynamics", ca.vertcat(*v.values()), self.air, g=ca.vertcat(*residuals), space=space,
+            inner=[*blown[:1], (end, next_g), *blown[1:]], looked_up=self.looked_up(piece, (g, v["z"])),
+        )  # fmt: skip
 
     @cached_property
     def _on_relief(self) -> tuple[str, Any]:
@@ -175,24 +186,41 @@ class Transcription:
         poses, place = ca.MX.sym("poses", self.sizes[0], count), ca.Function("place", [g], [ground.place(g)])
         return ca.Function("cells", [poses], [ground.cells(count)(place.map(count)(poses))])
 
-    def _segment(self, cell: Any, piece: Any, vehicle: Vehicle) -> ca.Function:
-        """``(g, r, z, c0, c1, h, wind, cell, piece) -> (left, right, g1, r1)`` of `DiscreteMechanics.segment` of a
-        vehicle in these symbols; see `within`."""
-        step = mechanics_of(vehicle, DEFAULT_MAP, "galerkin")
-        given = {name: step.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind")}
-        given |= {"cell": cell, "piece": piece}
-        results = {name: step.segment[name] for name in ("left", "right", "g1", "r1")}
-        return ca.Function("segment", [*given.values()], [*results.values()], [*given], [*results])
+    @cached_property
+    def loads(self) -> ca.Function:
+        """``(g, r, u, xi, c, wind, cell, piece, air)`` -> applied forces and forces of a potential, each on the joints
+        and on the group; ``cell, piece`` as in `within`, ``air`` as in `blown`."""
+        m, (cell, piece, vehicle) = self.mechanics, self.within
+        g, r, c, wind = (m.symbols[name] for name in ("g", "r", "c0", "wind"))
+        u, xi, air = ca.SX.sym("u", r.shape[0]), ca.SX.sym("xi", vehicle.group.dim), ca.SX.sym("air", 0)
+        if isinstance(vehicle, Holonomic) and not vehicle.group.planar and (vehicle.drag or vehicle.rotors):
+            air = ca.SX.sym("air", 3)
+            vehicle = replace(vehicle, air=air)
+        forces = [*vehicle.force(g, r, u, xi, c, wind), *conservative(vehicle, g, r)]
+        names = ["g", "r", "u", "xi", "c", "wind", "cell", "piece", "air"]
+        results = ["on_joints", "on_group", "steady_on_joints", "steady_on_group"]
+        return ca.Function(
+            "loads", [g, r, u, xi, c, wind, cell, piece, air], [ca.densify(x) for x in forces], names, results
+        )
+
+    def blown(self, airs: Any, *motions: tuple[Any, Any]) -> list[tuple[Any, Any]]:
+        """``airs`` (n, k), symbols of velocities through the air, with their expressions at k ``motions``: pairs of a
+        pose and a velocity; none unless drag or rotors act on a body in space."""
+        n, vehicle = airs.shape[0], self.vehicle
+        if not n or not isinstance(vehicle, Holonomic):
+            return []
+        wind = self.air["wind"]
+        return [(airs[:, k], vehicle.through_air(*motion, wind)[-n:]) for k, motion in enumerate(motions)]
 
     @cached_property
     def newton(self) -> tuple[ca.Function, ca.Function]:
         """Of ``(z, g, r, pi, c0, c1, h, wind, cell)``: the velocity ``z`` of a segment after a step of Newton's method,
         and ``(g1, r1, pi1)`` at its end; ``cell`` as in `local`."""
-        local, vehicle = self.local
-        segment = self._segment(local, ca.SX(0, 1), vehicle)
-        g, r, z, c0, c1, h, wind, cell, _ = (ca.SX.sym(name, *segment.size_in(name)) for name in segment.name_in())
+        cell, vehicle = self.local
+        step = mechanics_of(vehicle, DEFAULT_MAP, "galerkin")
+        g, r, z, c0, c1, h, wind = (step.symbols[name] for name in ("g", "r", "z", "c0", "c1", "h", "wind"))
+        left, right, g1, r1 = (step.segment[name] for name in ("left", "right", "g1", "r1"))
         pi = ca.SX.sym("pi", z.shape[0])
-        left, right, g1, r1 = segment(g, r, z, c0, c1, h, wind, cell, ca.SX(0, 1))
         missing = left - pi
         slope = ca.jacobian(missing, z)
         better = z - (ca.solve(slope, missing) if z.shape[0] else missing)
