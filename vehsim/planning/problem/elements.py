@@ -102,7 +102,8 @@ class Element:
     def points(self) -> ca.Function:
         """``(y, p) -> (d, k)``: the points at which the function of space is evaluated; ``p`` excludes its models."""
         assert self.space is not None
-        return ca.Function("points", [self.y, self.p[: self.given]], [self.space.points])
+        points = _inserted(self.inner, [self.space.points])
+        return ca.Function("points", [self.y, self.p[: self.given]], points)
 
     @property
     def lacks(self) -> int:
