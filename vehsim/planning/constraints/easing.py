@@ -1,7 +1,7 @@
 """Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests.
 
 What slips sideways, such as a boat, begins as it would go there unless its mark asks for a slip; what flies begins
-and ends straight or in a coordinated turn unless its mark fixes the attitude.
+and ends in a coordinated turn unless its mark fixes the attitude.
 """
 
 from __future__ import annotations
@@ -34,9 +34,6 @@ Array = NDArray[np.float64]
 COORDINATED = 100.0
 """Price of x^2 where a flight begins or ends at speed; x: rates of roll and pitch, rad/s, and the bank, rad, that its
 turn lacks. A degree costs 0.03; in flight, the effort of a second costs one."""
-ASKED = 0.02
-"""Rate of turn, rad/s, above which the price of turning there grows only slowly: its marks ask for that turn. Below it,
-the turn would save effort of the tail rotor, a thousandth, and lead up to a metre aside on a straight way."""
 STEADY = 10.0
 """Price of x^2 where what slides begins to move; x: accelerations sideways, m/s^2, and in yaw, rad/s^2."""
 STRAIGHT = np.radians(5.0)
@@ -187,10 +184,10 @@ def steady_element(transcription: Transcription, price: float) -> Element:
 
 
 def coordinated_element(transcription: Transcription, price: float) -> Element:
-    """The cost of rolling, pitching, accelerating sideways in body axes, and of turning slowly: (x, c).
+    """The cost of rolling, pitching, and accelerating sideways in body axes: (x, c).
 
-    The first three vanish in a steady turn, which is about a vertical axis. A flight would otherwise begin with a bank
-    of ten degrees and the roll rate that ends it, which take no effort.
+    They vanish in a steady turn, which is about a vertical axis. A flight would otherwise begin with a bank of ten
+    degrees and the roll rate that ends it, which take no effort.
     """
 
     def make() -> Element:
@@ -202,8 +199,7 @@ def coordinated_element(transcription: Transcription, price: float) -> Element:
         twist, change = (ca.substitute(each, t, zero) for each in (twist, ca.jacobian(twist, t)))
         turning = SO3.matrix(group.pose(g)[3:7]) @ twist[0:3]
         off = ca.vertcat(turning[0:2], change[4] / GRAVITY)
-        wander = ASKED**2 * ca.log1p((turning[2] / ASKED) ** 2)
-        return _at_knot(transcription, v, price * COORDINATED * (ca.sumsqr(off) + wander))
+        return _at_knot(transcription, v, price * COORDINATED * ca.sumsqr(off))
 
     return transcription.kept(("coordinated", price), make)
 
