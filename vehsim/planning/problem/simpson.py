@@ -145,8 +145,8 @@ def _on_group(vehicle: Vehicle, r: Expr, force: Expr) -> Expr:
 
 
 def _laws(t: Transcription) -> ca.Function:
-    """``(g, r, u, xi, c, wind, cell, piece) -> (g_dot, pi, pi_dot, turned)``: the rate of the group's coordinates, the
-    restricted momentum with its rate, and the gyroscopic part of that; ``cell, piece`` as in `Transcription.within`."""
+    """``(g, r, u, xi, c, wind, cell, piece, air) -> (g_dot, pi, pi_dot, turned)``: the rate of the group's coordinates,
+    the restricted momentum with its rate, and the gyroscopic part of that; arguments as of `Transcription.loads`."""
     m = t.mechanics
     g, r, c, wind = (m.symbols[name] for name in ("g", "r", "c0", "wind"))
     cell, piece, air = (ca.SX.sym(name, t.loads.size1_in(name)) for name in ("cell", "piece", "air"))
