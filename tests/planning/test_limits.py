@@ -5,12 +5,20 @@ import numpy as np
 import pytest
 
 import vehsim
-from vehsim import Mark
+from vehsim import Mark, World
+from vehsim.audit import audit
+from vehsim.audit.scene import Scene, WorldScene
+from vehsim.audit.track import track_of_clip
 from vehsim.clip.interpolant import rotate, spatial
 from vehsim.errors import InputError
 from vehsim.planning import Constraint, look_at, stay
+from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.problem.stage import between_view
 from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.request.request import make_request
+from vehsim.requests import Ask
+from vehsim.vehicles.definition.surfaces import SURFACES
+from vehsim.world.terrain.terrain import Terrain
 
 REST = (0.0, 0.0, 0.0)
 QUICK = {"effort": 0.02, "time": 1.0}
@@ -205,3 +213,75 @@ def test_grip_is_that_of_the_surface(surface, friction):
     plan = vehsim.plan(car, None, DRIVE, cost=QUICK, limits={"grip": 0.5}, character="stunt", segments=32)
     assert plan.success, plan.message
     assert 0.8 * 0.5 * friction < measured(plan.clip)["grip"] <= 0.5 * friction * WITHIN
+
+
+def sloping(rise):
+    """Ground that rises by ``rise`` (2,) m/m along X and Y."""
+    x = np.arange(-120, 121, 10.0)
+    return World(Terrain("slope", rise[0] * x + rise[1] * x[:, None], (x[0], x[0]), (10.0, 10.0)))
+
+
+def friction(clip, rise):
+    """Forces (n,) of the ground along it over those across it, by differences of the velocity, as vectors in space."""
+    span = 1 / float(clip.fps) / 64
+    begins = np.linspace(0, clip.duration - span, 6000)
+    gain = ((spatial(clip.at(begins + span))[1] - spatial(clip.at(begins))[1]) / span)[:, :2]
+    force = np.column_stack([gain, gain @ rise + 9.81])
+    normal = np.array([*np.negative(rise), 1.0]) / np.sqrt(1 + np.dot(rise, rise))
+    across = force @ normal
+    return np.linalg.norm(force - across[:, None] * normal, axis=1) / across
+
+
+@pytest.mark.parametrize("surface, rise", [("asphalt", (0.0, 0.3)), ("gravel", (-0.2, 0.1)), ("snow", (0.1, -0.05))])
+def test_grip_counts_slopes(surface, rise):
+    """The limit is active, and holds by an independent measure; on level ground it would be another motion."""
+    car = vehsim.load_vehicle("car", {"surface": surface})
+    options = {"cost": QUICK, "limits": {"grip": 0.7}, "character": "stunt", "segments": 32}
+    plan = vehsim.plan(car, sloping(rise), DRIVE, **options)
+    assert plan.success, plan.message
+    bound = 0.7 * SURFACES[surface].friction
+    assert 0.95 * bound < friction(plan.clip, rise).max() <= bound * WITHIN
+    (ask,) = [row for row in plan.audit if row.key == "limits.grip"]
+    assert ask.value <= 1.01 * bound
+
+
+def test_the_audit_measures_grip_on_slopes():
+    """Of a car that rests there: the slope; where the ground is not known, it is not measured."""
+    car, rise = vehsim.load_vehicle("car"), (0.3, -0.4)
+    marks = [rest(1, REST, heading=0), rest(25, REST, heading=0)]
+    clip = vehsim.plan(car, sloping(rise), marks, segments=4).clip
+    wanted = {"planar": True, "relief": [[-30.0, -30.0], [30.0, 30.0]]}
+    asks = [Ask("limits.grip", "grip", 1, 25, wanted, upper=upper, unit="g") for upper in (0.499, 0.501)]
+    rows = audit(track_of_clip(clip), asks, WorldScene(sloping(rise), car))
+    assert [row.met for row in rows] == [False, True]
+    assert rows[0].value == pytest.approx(0.5, abs=1e-6)
+    (row,) = audit(track_of_clip(clip), asks[:1], Scene())
+    assert row.value is None and row.met is None
+
+
+@pytest.mark.parametrize("rise, refused", [(0.34, False), (0.36, True)])
+def test_rest_on_ground_that_is_too_steep_for_the_grip_is_refused(rise, refused):
+    car = vehsim.load_vehicle("car", {"surface": "snow"})
+    marks = [rest(1, REST, heading=0), rest(145, (12, 0, 0))]
+    request = make_request(car, sloping((rise, 0.0)), marks, fps=24, segments=8, limits={"grip": 1.0})
+    told = "tyres need 0.36 g to rest on the slope there, limit 0.35; move it to gentler ground, or raise limits.grip"
+    assert [str(refusal) for refusal in refusals(request)] == (
+        [f"mark[{k}].position: {told}" for k in (0, 1)] if refused else []
+    )
+
+
+def test_a_users_law_of_the_slope_holds():
+    """Over a ridge ``4 exp(-x^2 / 225)`` m, a car climbs and descends no faster than allowed."""
+    ridge = 4 * np.exp(-(np.linspace(-4, 4, 49) ** 2))
+    world = World(Terrain("ridge", np.tile(ridge, (49, 1)), (-60.0, -60.0), (2.5, 2.5)))
+    gentle = Constraint("gentle", lambda k: ca.dot(k.slope, k.velocity[0:2]), lower=-0.5, upper=0.5, slack=5e-3)
+    marks = [rest(1, (-30, 0, 0), heading=0), rest("free", (30, 0, 0), heading=0)]
+    options = {"segments": 24, "cost": QUICK, "character": "stunt"}
+    car, fastest = vehsim.load_vehicle("car"), []
+    for terms in ([], [gentle]):
+        plan = vehsim.plan(car, world, marks, terms=terms, **options)
+        assert plan.success, plan.message
+        motion = plan.clip.at(np.linspace(0, plan.duration, 2000))
+        x, speed = motion.positions[:, 0], spatial(motion)[1][:, 0]
+        fastest.append(np.abs(8 * x / 225 * np.exp(-((x / 15) ** 2)) * speed).max())
+    assert fastest[0] > 3 and fastest[1] == pytest.approx(0.5, rel=0.03)

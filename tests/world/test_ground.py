@@ -17,7 +17,7 @@ from vehsim.planning.problem.simpson import simpson
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.rig.parts import read_parts
 from vehsim.world.ground.placing import can_stand, place_on_terrain
-from vehsim.world.ground.slope import Relief, on_terrain
+from vehsim.world.ground.slope import Relief, on_terrain, relief_of
 from vehsim.world.ground.wheels import touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
@@ -213,19 +213,6 @@ def test_beyond_the_grip_of_tyres_the_body_leans_as_at_their_limit():
     assert limit > roll(9.0) > 0.05
 
 
-@pytest.mark.parametrize(
-    "climb, advised", [(0.0, "limits = { grip = 0.9 }"), (0.3, "limits = { grip = 0.8 }: the slope there needs 0.3 g")]
-)
-def test_the_grip_that_is_advised_leaves_what_the_slope_needs(climb, advised):
-    """The limit ignores slopes: planned with the 0.9 that was advised, tyres on a slope needed more than they have."""
-    x = np.arange(-60, 61, 10.0)
-    world = World(Terrain("slope", climb * np.tile(x, (len(x), 1)), (x[0], x[0]), (10.0, 10.0)))
-    start = vehsim.State(twist=(1.5, 15.0, 0.0), joints=(0.0, 2.6 / 10))
-    with pytest.warns(UserWarning, match="more than the grip of tyres") as caught:
-        vehsim.simulate(CAR, world, [0.0, 0.0], start=start, duration=0.5)
-    assert str(caught[0].message).endswith(advised)
-
-
 def test_wheels_come_from_the_asset():
     wheels = {wheel.travel: wheel for wheel in wheels_of(CAR.rig)}
     assert set(wheels) == {"travel_rl", "travel_rr", "travel_fl", "travel_fr"}
@@ -275,6 +262,19 @@ def test_a_cell_of_the_relief_is_the_spline_with_its_derivatives():
     places[:40] = low + relief.spacing * np.round((places[:40] - low) / relief.spacing) + 1e-9
     cells = relief.cells(len(places))(places.T)
     assert np.allclose(whole.map(300)(places.T).full(), within.map(300)(places.T, cells).full(), rtol=0, atol=1e-9)
+
+
+def test_slopes_of_the_relief_are_differences_of_its_heights():
+    relief = relief_of(hilly().terrain, np.array([(-20.0, -10.0), (25.0, 14.0)]))
+    xy = ca.SX.sym("xy", 2)
+    height = ca.Function("height", [xy], [relief.height(xy)])
+    places, step = np.random.default_rng(4).uniform((-19, -9), (24, 13), size=(50, 2)), 1e-4
+    slopes = [
+        (height(places.T + d) - height(places.T - d)).full().ravel() / 2 / step for d in step * np.eye(2)[:, :, None]
+    ]
+    assert np.ptp(slopes) > 0.1
+    np.testing.assert_allclose(relief.slopes(places), np.transpose(slopes), atol=1e-6)
+    np.testing.assert_allclose(relief.box, [(-20, -10), (25, 14)], atol=1e-12)
 
 
 def test_the_equations_of_a_plan_are_those_of_the_whole_slope():

@@ -185,8 +185,16 @@ def _acceleration(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
 
 def _grip(track: Track, wanted: Wanted, scene: Scene) -> Array:
-    """Horizontal force over weight, over the frame around each sample: the friction that tyres need on level ground."""
-    return np.asarray(np.hypot(*_accelerations(track).T[:2]) / GRAVITY)
+    """The friction that tyres need, over the frame around each sample: the force along the ground over that across it.
+
+    On a slope, the vehicle moves along the ground; where that bends is left out. nan within half a frame of the ends.
+    """
+    slopes = scene.slopes(track, wanted.get("relief"))
+    level = _accelerations(track)[:, :2]
+    force = np.column_stack([level, np.sum(level * slopes, axis=1) + GRAVITY])
+    normal = np.column_stack([-slopes, np.ones(len(slopes))]) / np.hypot(1, _norms(slopes))[:, None]
+    across = np.sum(force * normal, axis=1)
+    return _norms(force - across[:, None] * normal) / across
 
 
 def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:
@@ -385,8 +393,8 @@ def _law(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """A component of a user's law; nan where the representation shows no controls.
 
     The law is a serialised CasADi function of position (3,), rotation (9,) by rows, velocity (3,), angular velocity
-    (3,) in body axes, acceleration (3,), joints, their rates, controls, and seconds since the frame ``start``. For
-    ``planar`` requests the rotation is the heading alone.
+    (3,) in body axes, acceleration (3,), joints, their rates, controls, seconds since the frame ``start``, and the
+    ground's slope (2,). For ``planar`` requests the rotation is the heading alone.
     """
     import casadi as ca
 
@@ -409,8 +417,10 @@ def _law(track: Track, wanted: Wanted, scene: Scene) -> Array:
         np.array([*track.joint_rates.values()]).reshape(-1, n).T,
         track.controls,
         (track.seconds - wanted["start"] / float(track.fps))[:, None],
+        scene.slopes(track, wanted.get("relief")),
     ]
-    values = ca.Function.deserialize(wanted["law"])(*(column.T for column in columns))
+    law = ca.Function.deserialize(wanted["law"])  # those that were stored before slopes take one column less
+    values = law(*(column.T for column in columns[: law.n_in()]))
     return np.asarray(values, float)[wanted["component"]]
 
 

@@ -32,6 +32,11 @@ class Scene:
         None if that is not known."""
         return np.zeros(len(track.frames))
 
+    def slopes(self, track: Track, relief: Sequence[Sequence[float]] | None) -> Array:
+        """Slopes (n, 2) m/m, along X and Y, of the ground below a vehicle on wheels, as smooth as it carries the
+        weight: in the box ``relief`` (2, 2) m, level outside; None: level everywhere. nan if that is not known."""
+        return np.full((len(track.frames), 2), 0.0 if relief is None else np.nan)
+
     def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
         """Height (n,) m above the ground of the wheel with the largest gap; nan if there are no wheels."""
         return np.full(len(track.frames), np.nan)
@@ -58,6 +63,13 @@ class WorldScene(Scene):
             return super().away(track, obstacles_only)
         poses = track.positions, quaternions(track.rotations)
         return _away(self.world, self.vehicle, *poses, track.seconds, track.channels, obstacles_only)
+
+    def slopes(self, track: Track, relief: Sequence[Sequence[float]] | None) -> Array:
+        if relief is None or self.world is None or self.world.terrain is None:
+            return super().slopes(track, relief)
+        from vehsim.world.ground.slope import relief_of
+
+        return relief_of(self.world.terrain, np.asarray(relief, float)).slopes(track.positions[:, :2])
 
     def swept(self, track: Track) -> Array:
         return _swept(self.vehicle, track.channels, len(track.frames))

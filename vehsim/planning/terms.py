@@ -33,7 +33,8 @@ class KnotView:
     ``position`` (3,) of the rig's root, world; ``velocity`` and ``acceleration`` (3,), world axes, at a knot those of
     the later segment; ``omega`` (3,) body axes; ``rotation`` (3, 3) root to world; ``joints, joint_rates`` (s,);
     ``controls`` (c,); ``push``: the generalised force of the controls over the vehicle's weight; ``rates``: the
-    velocity along ``push``; ``t``: s since the first mark.
+    velocity along ``push``; ``t``: s since the first mark; ``slope`` (2,): rise per metre along the world's X and Y of
+    the ground under a vehicle on wheels, otherwise 0.
     """
 
     position: Expr
@@ -48,6 +49,7 @@ class KnotView:
     t: Expr
     acceleration: Expr
     names: tuple[str, ...] = ()
+    slope: Expr = field(default_factory=lambda: ca.DM.zeros(2))
 
     @property
     def power(self) -> Expr:
@@ -253,6 +255,13 @@ def _norm(vector: Expr) -> Expr:
     return ca.sqrt(ca.sumsqr(vector) + 1e-8)
 
 
+def _grip(k: KnotView) -> Expr:
+    """Force of the ground along it over that across it, of a mass that follows its slope."""
+    level, slope = k.acceleration[0:2] / GRAVITY, k.slope
+    rise, steep = ca.dot(slope, level), ca.sumsqr(slope)
+    return ca.sqrt((ca.sumsqr(level) + rise**2 + 2 * rise) * (1 + steep) + steep + 1e-8)
+
+
 COSTS: Registry[Callable[[Any], Expr]] = Registry(
     "vehsim.costs",
     {
@@ -339,9 +348,9 @@ LIMITS: Registry[Limit] = Registry(
         ),
         "acceleration": Limit(lambda k: _norm(k.acceleration), "m/s^2", "acceleration in any direction"),
         "grip": Limit(
-            lambda k: _norm(k.acceleration[0:2]) / GRAVITY,
+            _grip,
             "g",
-            "friction that tyres need on level ground, over that of their surface to dry asphalt",
+            "friction that tyres need, over that of their surface to dry asphalt",
             on_tyres=True,
         ),
         "g_load": Limit(

@@ -162,11 +162,16 @@ def limit_asks(
     joints: Mapping[str, tuple[float, float]],
     joint_rates: Mapping[str, tuple[float, float]],
     planar: bool = False,
+    relief: Sequence[Sequence[float]] | None = None,
 ) -> Iterator[Ask]:
-    """Limits over a motion: name -> (value, unit), and joints and their rates by name -> (low, high), SI."""
+    """Limits over a motion: name -> (value, unit), and joints and their rates by name -> (low, high), SI.
+
+    ``relief`` (2, 2) m: the box of the relief on which a vehicle on wheels drives; None: level ground.
+    """
+    wanted = {"planar": planar} if relief is None else {"planar": planar, "relief": relief}
     for name, (value, unit) in limits.items():
         slack = SLACK if unit == "m" else SLACK * value  # a share of a height depends on its zero: use 1 cm instead
-        yield Ask(f"limits.{name}", name, first, last, {"planar": planar}, upper=value + slack, unit=unit)
+        yield Ask(f"limits.{name}", name, first, last, wanted, upper=value + slack, unit=unit)
     for kind, ranges in (("joint", joints), ("joint_rate", joint_rates)):
         for joint, (low, high) in ranges.items():
             slack = SLACK * max(abs(low), abs(high))

@@ -20,7 +20,7 @@ from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.dynamics import bound_joints
 from vehsim.planning.problem.elements import Element, NonlinearProgram, Use
 from vehsim.planning.problem.layout import Layout
-from vehsim.planning.problem.stage import UNKNOWN, between_view, clip_view, evaluate, knot_view, segment_view
+from vehsim.planning.problem.stage import UNKNOWN, Sloping, between_view, clip_view, evaluate, knot_view, segment_view
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import knots_within
 from vehsim.planning.request.marks import Mark
@@ -184,8 +184,8 @@ class PathConstraint(Block):
         steps = [np.linspace(0, 1 - END, n) for n in counts]  # to just before the next knot, where the law may jump
         spans = zip(knots[:-1], np.diff(knots), steps, strict=True)
         times = np.append(np.concatenate([a + h * share for a, h, share in spans]), knots[-1])
-        columns = samples(clip, times)
         transcription = trajectory.transcription
+        columns = samples(transcription, clip, times)
         if transcription not in self._laws:
             self._laws[transcription] = law_of_clip(transcription, term)
         values = np.asarray(self._laws[transcription].map(len(times))(*columns)).reshape(-1, len(times))
@@ -239,33 +239,36 @@ def term_element(
     parameters: dict[str, Any] = {}
     view: KnotView | SegmentView
     v = transcription.symbols(*(("x", "c0") if place == "knot" else ("x", "x1", "c0", "c1", "h")))
+    sloping = Sloping(transcription)
     if place == "segment":
         view = segment_view(transcription, v, now)
+        view = replace(view, start=sloping(view.start), end=sloping(view.end))
     elif place == "knot":
-        view = knot_view(transcription, v["x"], v["c0"], now)
+        view = sloping(knot_view(transcription, v["x"], v["c0"], now))
     else:
         fraction = parameters["fraction"] = ca.SX.sym("fraction")
-        view = between_view(transcription, v, fraction, now + fraction * v["h"])
+        view = sloping(between_view(transcription, v, fraction, now + fraction * v["h"]))
     y, value = ca.vertcat(*v.values()), evaluate(term, view)
+    slopes = sloping.of(value)
     if ca.depends_on(value, now):
         value, y = ca.substitute(value, now, ca.dot(lengths, passed)), ca.vertcat(y, lengths)
         parameters["passed"] = passed
     if isinstance(term, Cost):
-        return Element(term.name, y, parameters, f=term.weight * value)
+        return Element(term.name, y, parameters, f=term.weight * value, **slopes)
     name = f"{term.name} between knots" if between_knots else term.name
-    return Element(name, y, parameters, g=value, lower=term.lower, upper=term.upper)
+    return Element(name, y, parameters, g=value, lower=term.lower, upper=term.upper, **slopes)
 
 
 def law_of_clip(transcription: Transcription, term: Constraint) -> ca.Function:
     """A constraint's law as a function of a clip's `samples`."""
     v = transcription.vehicle
     sizes = {"pose": 7, "twist": v.group.dim, "acceleration": 3, "r": len(v.joints), "u": len(v.joints)}
-    sizes |= {"c": len(v.controls), "t": 1}
+    sizes |= {"c": len(v.controls), "t": 1, "slope": 2}
     given = [ca.SX.sym(name, size) for name, size in sizes.items()]
     return ca.Function("law", given, [evaluate(term, clip_view(v, *given))])
 
 
-def samples(clip: Clip, times: Array) -> list[Array]:
+def samples(transcription: Transcription, clip: Clip, times: Array) -> list[Array]:
     """The arguments of `stage.clip_view`, columns (k, n) at ``times`` (n,) s."""
     motion = clip.at(times)
     _, velocity = spatial(clip)
@@ -275,5 +278,7 @@ def samples(clip: Clip, times: Array) -> list[Array]:
     first, last = slope - 4 * velocity[k] - 2 * velocity[k + 1], 2 * velocity[k] + 4 * velocity[k + 1] - slope
     acceleration = (first + share * (last - first)) / h
     pose = np.hstack([motion.positions, motion.orientations])
-    kept = (pose, motion.twists, acceleration, motion.joints, motion.joint_rates, motion.controls, times[:, None])
+    slopes = transcription.slopes(motion.positions)
+    now = times[:, None]
+    kept = (pose, motion.twists, acceleration, motion.joints, motion.joint_rates, motion.controls, now, slopes)
     return [column.T for column in kept]

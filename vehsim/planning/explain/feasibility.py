@@ -84,7 +84,7 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
     if mark.velocity is not None and abs(mark.velocity[2]) > climb:
         message = f"{abs(mark.velocity[2]):g} m/s up or down, limit {climb:g}"
         found.append(Refusal(mark, "velocity", message, f"use at most {climb:g} m/s"))
-    found += _bent_too_far(request, mark) + _sideways(request, mark)
+    found += _bent_too_far(request, mark) + _sideways(request, mark) + _too_steep(request, mark)
     for term in request.constraints:
         found += _outside(request, mark, term) + _looks_elsewhere(mark, term)
     return found
@@ -117,6 +117,18 @@ def _sideways(request: Request, mark: Mark) -> list[Refusal]:
     allowed = "straight ahead or back" if most < 0.5 else f"within {most:.3g} degrees of ahead or back"
     message = f"{off:.3g} degrees off its heading, the {vehicle.name} rolls {allowed}"
     return [Refusal(mark, "velocity", message, "turn the heading or the velocity")]
+
+
+def _too_steep(request: Request, mark: Mark) -> list[Refusal]:
+    """A place on a slope where tyres cannot hold the vehicle at rest with the grip that is allowed."""
+    grip = request.limits.get("grip")
+    if not mark.at_rest or mark.position is None or mark.tolerance or not math.isfinite(grip):
+        return []
+    steep = float(np.linalg.norm(transcribe(request.weighed).slopes(np.array([mark.position]))))
+    if steep <= grip:
+        return []
+    message = f"tyres need {steep:.3g} g to rest on the slope there, limit {grip:.3g}"
+    return [Refusal(mark, "position", message, "move it to gentler ground, or raise limits.grip")]
 
 
 def _applies(term: Constraint, mark: Mark) -> bool:

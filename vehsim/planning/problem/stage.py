@@ -6,7 +6,7 @@ them.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -15,6 +15,7 @@ import casadi as ca
 from vehsim.constants import GRAVITY
 from vehsim.errors import InputError
 from vehsim.lie import SO3, difference_map
+from vehsim.planning.problem.elements import SpatialField
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.terms import Cost, KnotView, SegmentView, Term
 from vehsim.vehicles import Vehicle
@@ -89,19 +90,57 @@ def _apart(view: KnotView, inner: list[tuple[Expr, Expr]]) -> KnotView:
 
 
 def clip_view(
-    vehicle: Vehicle, pose: Expr, twist: Expr, acceleration: Expr, r: Expr, u: Expr, c: Expr, time: Expr
+    vehicle: Vehicle,
+    pose: Expr,
+    twist: Expr,
+    acceleration: Expr,
+    r: Expr,
+    u: Expr,
+    c: Expr,
+    time: Expr,
+    slope: Expr,
 ) -> KnotView:
     """The view of a sample of a clip.
 
     ``pose`` (7,) and body ``twist`` (d,) of the rig's root, its ``acceleration`` (3,) in the world, joints, their
-    rates, and controls, SI.
+    rates, and controls, SI; ``slope`` (2,) of the ground below.
     """
     group = vehicle.group
     body = ca.vertcat(pose[0:3] + SO3.matrix(pose[3:7]) @ ca.DM(vehicle.origin), pose[3:7])
     g = group.from_pose(body)
     xi = group.velocity_from_body(g, group.shift(twist, ca.DM(vehicle.origin)))
     view = _view(vehicle, g, r, u, xi, c, time)
-    return replace(view, position=pose[0:3], rotation=SO3.matrix(pose[3:7]), acceleration=acceleration)
+    rotation = SO3.matrix(pose[3:7])
+    return replace(view, position=pose[0:3], rotation=rotation, acceleration=acceleration, slope=slope)
+
+
+@dataclass
+class Sloping:
+    """Gives the views of an element the slopes of the ground below them, as symbols, and collects what these are."""
+
+    transcription: Transcription
+    _places: list[Expr] = field(default_factory=list)
+    _slopes: list[Expr] = field(default_factory=list)
+
+    def __call__(self, view: KnotView) -> KnotView:
+        if self.transcription.relief is None:
+            return view
+        self._places.append(view.position[0:2])
+        self._slopes.append(ca.SX.sym("slope", 2))
+        return replace(view, slope=self._slopes[-1])
+
+    def of(self, value: Expr) -> dict[str, Any]:
+        """The arguments ``space`` and ``inner`` of an `Element` with this value; none if it does not use slopes."""
+        relief = self.transcription.relief
+        if relief is None or not ca.depends_on(value, ca.vertcat(*self._slopes)):
+            return {}
+        places = ca.horzcat(*self._places)
+        models = ca.SX.sym("models", 2 + relief.CELL, len(self._places))
+        inner = [
+            (slope, relief.slope(place, models[2:, k]))
+            for k, (slope, place) in enumerate(zip(self._slopes, self._places, strict=True))
+        ]
+        return {"space": SpatialField(places, models, lambda count, order: relief.cells(count)), "inner": inner}
 
 
 def _cubic(s: Expr, h: Expr, a: Expr, b: Expr, da: Expr, db: Expr) -> tuple[Expr, Expr]:

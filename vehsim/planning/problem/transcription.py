@@ -24,7 +24,7 @@ from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.vehicles.definition.mechanics import conservative
 from vehsim.vehicles.definition.resistance import in_pieces, speeds_of
 from vehsim.world.ground.below import Below
-from vehsim.world.ground.slope import Weight
+from vehsim.world.ground.slope import Relief, Weight
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made", Element, Element | None)
@@ -177,6 +177,15 @@ class Transcription:
             return None
         models = ca.vertcat(ca.SX.sym("place", 2), self.local[0])
         return SpatialField(ground.place(g), models, lambda count, order: ground.cells(count))
+
+    @property
+    def relief(self) -> Relief | None:
+        """The relief that carries the vehicle's weight; None: it stands on level ground or flies."""
+        return self.ground.relief if isinstance(self.ground, Weight) else None
+
+    def slopes(self, places: Array) -> Array:
+        """Slopes (n, 2) m/m of the ground that carries the vehicle at places (n, 2 or more) m."""
+        return np.zeros((len(places), 2)) if self.relief is None else self.relief.slopes(places[:, :2])
 
     def cells(self, count: int) -> ca.Function:
         """Poses (n, count) -> the values of `local`'s symbols there, as columns."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from vehsim.audit import PER_FRAME
 from vehsim.planning.problem.stage import evaluate
+from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.character import control_rates, eased
 from vehsim.planning.request.landing import ROUND, SLOPE
 from vehsim.planning.request.marks import Mark
@@ -42,7 +43,8 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
             asks += _mark(request, mark, frame, frames[i + 1] - frame if mark.hold else 0.0)
     limits = {name: (value, LIMITS[name].unit) for name, value in request.limits.values.items()}
     planar = request.vehicle.group.planar
-    asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar)
+    relief = _relief(request)
+    asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar, relief)
     asks += [*_character(request, first, last), *_ease(request, marks, frames)]
     asks += _actuators(request.vehicle, first, last)
     asks += _ranges(request, first, last)
@@ -143,17 +145,18 @@ def _ranges(request: Request, first: float, last: float) -> Iterator[Ask]:
         if term.ask is not None:
             yield term.ask(float(begin), float(end))
         elif term in request.terms and term.over == "everywhere":
-            yield from _law(request.vehicle, term, float(begin), float(end), first)
+            yield from _law(request, term, float(begin), float(end), first)
 
 
-def _law(vehicle: Vehicle, term: Constraint, begin: float, end: float, first: float) -> Iterator[Ask]:
+def _law(request: Request, term: Constraint, begin: float, end: float, first: float) -> Iterator[Ask]:
     """The requests of a user's constraint, one per component.
 
     There are none for a constraint of power, or of a height on the plane: the finished motion does not contain what the
     plan's values were.
     """
+    vehicle = request.vehicle
     sizes = {"position": 3, "rotation": 9, "velocity": 3, "omega": 3, "acceleration": 3, "joints": len(vehicle.joints)}
-    sizes |= {"joint_rates": len(vehicle.joints), "controls": len(vehicle.controls), "t": 1}
+    sizes |= {"joint_rates": len(vehicle.joints), "controls": len(vehicle.controls), "t": 1, "slope": 2}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     hidden = {name: ca.SX.sym(name, 6) for name in ("push", "rates")}
     rotation = ca.reshape(given["rotation"], 3, 3).T
@@ -170,10 +173,16 @@ def _law(vehicle: Vehicle, term: Constraint, begin: float, end: float, first: fl
             "law",
             begin,
             end,
-            {"law": law, "component": i, "planar": planar, "start": first},
+            {"law": law, "component": i, "planar": planar, "start": first, "relief": _relief(request)},
             lower=low - term.slack if math.isfinite(low) else None,
             upper=high + term.slack if math.isfinite(high) else None,
         )
+
+
+def _relief(request: Request) -> list[list[float]] | None:
+    """The box of the relief that carries the vehicle's weight, as `Scene.slopes` takes it."""
+    relief = transcribe(request.weighed).relief
+    return None if relief is None else relief.box.tolist()
 
 
 def _loop(first: float, last: float, wanted: Mapping[str, Any]) -> Iterator[Ask]:

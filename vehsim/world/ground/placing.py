@@ -7,7 +7,6 @@ in `slope.py`.
 
 from __future__ import annotations
 
-import math
 import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -47,8 +46,6 @@ STEADY = 0.05
 """Largest change of the rest pose in the last iteration, m and rad: if it is larger, the body does not come to rest."""
 GRIP = 1.1
 """Grip of dry tyres, in g."""
-ADVISED = 0.9
-"""The limit ``grip`` that is advised on level ground."""
 LARGEST_TRAVEL = 0.12
 """Travel beyond which a wheel leaves its arch, m."""
 
@@ -101,7 +98,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     channels |= tilted(rig, terrain, channels, clip.times, *there)
     channels |= _wheel_channels(rig, terrain, wheels, channels, *there, SEEN if coarse else TOUCHING)
     travels = {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel}
-    _warn_strain(clip, needed, np.hypot(*np.sin(rest[:, 1:]).T), travels)
+    _warn_strain(clip, np.hypot(*needed), travels)
     placed = replace(clip, positions=there[0], orientations=there[1], channels=channels)
     return replace(placed, channels={**channels, **spring_loads(placed, wheels)})
 
@@ -208,18 +205,14 @@ def _own_attitude(clip: Clip) -> Array:
     return clip.joints[:, [clip.vehicle.joints.index(name) for name in names]]
 
 
-def _warn_strain(clip: Clip, needed: tuple[Array, Array], slope: Array, travels: dict[str, Array]) -> None:
-    """Warn if tyres, or else springs, exceed their limits. ``slope`` (n,): share of the weight along the ground."""
-    force = np.hypot(*needed)
+def _warn_strain(clip: Clip, force: Array, travels: dict[str, Array]) -> None:
+    """Warn if tyres, or else springs, exceed their limits. ``force`` (n,) of tyres per mass, m/s^2."""
     name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
     if force.max() > _grip(clip.vehicle):
         k = int(force.argmax())
         most = f"{force[k] / GRAVITY:.1f} g at frame {clip.frames[k]:.0f}"
         message = f"{most}: more than the grip of tyres, but wheels never slip here; "
-        spare = GRIP - float(slope[k]) / SURFACES[clip.vehicle.surface].friction  # the limit ignores slopes
-        grip = max(0.1, min(ADVISED, math.floor(10 * spare) / 10))
-        climbing = f": the slope there needs {slope[k]:.1g} g" if grip < ADVISED else ""
-        remedy = f"go slower, or plan with limits = {{ grip = {grip:g} }}{climbing}"
+        remedy = "go slower, or plan with limits = { grip = 0.9 }"
     elif np.abs(travel).max() > LARGEST_TRAVEL:
         k = int(np.abs(travel).argmax())
         message = f"{name} = {travel[k]:.2f} m at frame {clip.frames[k]:.0f}: the wheel leaves its arch, because the "

@@ -105,7 +105,7 @@ def _weight(vehicle: Any, terrain: Terrain, box: Array) -> Weight:
     r, u = ca.DM.zeros(len(vehicle.joints)), ca.SX.zeros(len(vehicle.joints))
     xi = ca.SX.sym("xi", 3)
     mass = float(ca.evalf(ca.hessian(vehicle.reduced_lagrangian(ca.SX(r), u, xi), xi)[0][1, 1]))
-    return Weight(mass, _relief(terrain, box), -vehicle.origin[:2], vehicle.potential_energy)
+    return Weight(mass, relief_of(terrain, box), -vehicle.origin[:2], vehicle.potential_energy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +141,26 @@ class Relief:
         x, y = (_basis(index[k], count) for k, count in enumerate(self.coefficients.shape))
         return self.base + ca.mtimes([x.T, ca.DM(self.coefficients), y])
 
+    def slope(self, xy: Any, cell: Any = None) -> Any:
+        """Slope (2,) m/m at ``xy`` (2,) m, as an expression; within ``cell`` (18,), or everywhere."""
+        import casadi as ca
+
+        at = ca.SX.sym("xy", 2)
+        return ca.substitute(ca.gradient(self.height(at, cell), at), at, xy)
+
+    def slopes(self, xy: Array) -> Array:
+        """Slopes (n, 2) m/m at places (n, 2) m."""
+        import casadi as ca
+
+        at, cell = ca.SX.sym("xy", 2), ca.SX.sym("cell", self.CELL)
+        slope = ca.Function("slope", [at, cell], [self.slope(at, cell)]).map(len(xy))
+        return np.asarray(slope(xy.T, self.cells(len(xy))(xy.T))).T
+
+    @property
+    def box(self) -> Array:
+        """Lower and upper corner (2, 2) m of the region where heights are resolved."""
+        return np.array([self.lower, self.lower + self.spacing * (np.array(self.coefficients.shape) - 3)])
+
     def cells(self, count: int) -> Any:
         """A casadi ``Function``, places (2, count) m -> the cells that contain them (18, count): constant in a cell, so
         that `height` has exact derivatives there."""
@@ -173,7 +193,8 @@ def _pieces(u: Any) -> Any:
     return ca.vertcat(v**3, 4 - 3 * u**2 * (2 - u), 4 - 3 * v**2 * (2 - v), u**3) / 6
 
 
-def _relief(terrain: Terrain, box: Array) -> Relief:
+def relief_of(terrain: Terrain, box: Array) -> Relief:
+    """The relief of a terrain in a box from ``box[0]`` to ``box[1]`` (2,) m."""
     from scipy.interpolate import make_interp_spline
 
     counts = [int(np.clip(np.ceil(length / FINEST), 4, KNOTS)) for length in box[1] - box[0]]
