@@ -90,6 +90,30 @@ def test_a_flight_begins_and_ends_in_a_coordinated_turn(speed, turn, bank):
     assert np.abs(roll + bank).max() < 5.0
 
 
+@pytest.mark.parametrize(("speed", "seconds", "heading"), [(20.0, 20, 0.0), (20.0, 20, None), (10.0, 8, 0.0)])
+def test_a_flight_between_moving_marks_on_a_line_is_straight(speed, seconds, heading):
+    """It began banked by three degrees more than its balance, and went 0.95, 0.98 and 0.34 m aside."""
+    marks = [
+        Mark(1 + 24 * t, position=(speed * t, 0, 60), velocity=(speed, 0, 0), heading=heading) for t in (0, seconds)
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks)
+    assert plan.success
+    assert np.abs(plan.clip.positions[:, 1]).max() < 0.001 * speed * seconds
+    assert np.ptp(rolls(plan.clip)) < 1.5
+
+
+def test_a_flight_on_an_arc_begins_in_its_turn():
+    radius, speed = 150.0, 20.0
+    marks = []
+    for angle in (0.0, 30.0, 60.0):
+        a = np.radians(angle)
+        place = (radius * np.sin(a), radius * (1 - np.cos(a)), 30)
+        marks.append(Mark(1 + round(24 * radius * a / speed), position=place, velocity=ways(angle, speed)))
+    roll = rolls(vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks).clip)
+    turn = np.degrees(np.arctan(speed**2 / (radius * 9.81)))
+    assert np.abs(roll + turn).max() < 3.0 and abs(roll[0] + turn) < 3.0
+
+
 def easing(first: Mark, vehicle: str = "drift_car", **more) -> Easing:
     vehicle = vehsim.load_vehicle(vehicle)
     last = Mark(100, position=(30, 2, 0), velocity=(0, 0, 0))

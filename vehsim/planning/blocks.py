@@ -16,7 +16,7 @@ from vehsim.planning.costs import OwnCost, RunningCosts
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
 from vehsim.planning.request.request import Request
-from vehsim.planning.terms import Cost
+from vehsim.planning.terms import Cost, HazardView, costs_of
 from vehsim.vehicles.definition.character import STUNT
 
 
@@ -31,7 +31,8 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     weights, limits = traits.weights(request.weights), traits.without(request.limits)
     blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
     steady = [] if traits.name == STUNT or request.loop else steady_marks(request.vehicle, marks)
-    blocks.append(Easing(weights, traits, marks, steady))
+    asks_turns = bool(costs_of(HazardView, weights)) or any(isinstance(term, Cost) for term in request.terms)
+    blocks.append(Easing(weights, traits, marks, steady, straight=not asks_turns))
     blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):

@@ -1,7 +1,7 @@
 """Easing: controls change smoothly, and start and end in balance, without rates, at marks where the vehicle rests.
 
 What slips sideways, such as a boat, begins as it would go there unless its mark asks for a slip; what flies begins
-and ends in a coordinated turn unless its mark fixes the attitude.
+and ends straight or in a coordinated turn unless its mark fixes the attitude.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 COORDINATED = 100.0
 """Price of x^2 where a flight begins or ends at speed; x: rates of roll and pitch, rad/s, and the bank, rad, that its
 turn lacks. A degree costs 0.03; in flight, the effort of a second costs one."""
+ASKED = 0.02
+"""Rate of turn, rad/s, above which the price of turning there grows only slowly: its marks ask for that turn. Below it,
+the turn would save effort of the tail rotor, a thousandth, and lead up to a metre aside on a straight way."""
 STEADY = 10.0
 """Price of x^2 where what slides begins to move; x: accelerations sideways, m/s^2, and in yaw, rad/s^2."""
 STRAIGHT = np.radians(5.0)
@@ -58,6 +61,8 @@ class Easing(Block):
     marks: Sequence[Mark]
     steady: Sequence[int] = ()
     """The marks at which the motion begins or ends steadily, see `steady_marks`."""
+    straight: bool = True
+    """Whether a flight begins and ends straight unless its marks ask for a turn; no other cost asks for one."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -67,7 +72,15 @@ class Easing(Block):
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         ground = tuple(mark.on_ground for mark in self.marks)
         ends = tuple(eased(self.traits, self.marks))
-        return "easing", self.names, ends, ground, self._rates(transcription).tobytes(), tuple(self.steady)
+        return (
+            "easing",
+            self.names,
+            ends,
+            ground,
+            self._rates(transcription).tobytes(),
+            tuple(self.steady),
+            self.straight,
+        )
 
     def _rates(self, transcription: Transcription) -> Array:
         """The largest rates of the controls over their scale, 1/s."""
@@ -95,9 +108,11 @@ class Easing(Block):
                 problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
         for i in self.steady:
             knot = layout.mark_knots[i]
-            steady = coordinated_element if flies(transcription.vehicle) else steady_element
-            ends = np.vstack([layout.knot(knot), layout.control(knot)])
-            problem.add(steady(transcription, self.traits.price), ends)
+            if flies(transcription.vehicle):
+                element = coordinated_element(transcription, self.traits.price, self.straight)
+            else:
+                element = steady_element(transcription, self.traits.price)
+            problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         return {weight_of(name): self.weights[name] for name in self.names}
@@ -183,11 +198,11 @@ def steady_element(transcription: Transcription, price: float) -> Element:
     return transcription.kept(("steady", price), make)
 
 
-def coordinated_element(transcription: Transcription, price: float) -> Element:
-    """The cost of rolling, pitching, and accelerating sideways in body axes: (x, c).
+def coordinated_element(transcription: Transcription, price: float, straight: bool) -> Element:
+    """The cost of rolling, pitching, accelerating sideways in body axes, and if ``straight`` of turning slowly: (x, c).
 
-    They vanish in a steady turn, which is about a vertical axis. A flight would otherwise begin with a bank of ten
-    degrees and the roll rate that ends it, which take no effort.
+    The first three vanish in a steady turn, which is about a vertical axis. A flight would otherwise begin with a bank
+    of ten degrees and the roll rate that ends it, which take no effort.
     """
 
     def make() -> Element:
@@ -199,9 +214,10 @@ def coordinated_element(transcription: Transcription, price: float) -> Element:
         twist, change = (ca.substitute(each, t, zero) for each in (twist, ca.jacobian(twist, t)))
         turning = SO3.matrix(group.pose(g)[3:7]) @ twist[0:3]
         off = ca.vertcat(turning[0:2], change[4] / GRAVITY)
-        return _at_knot(transcription, v, price * COORDINATED * ca.sumsqr(off))
+        wander = ASKED**2 * ca.log1p((turning[2] / ASKED) ** 2) if straight else 0.0
+        return _at_knot(transcription, v, price * COORDINATED * (ca.sumsqr(off) + wander))
 
-    return transcription.kept(("coordinated", price), make)
+    return transcription.kept(("coordinated", price, straight), make)
 
 
 def _motion(transcription: Transcription, v: dict[str, Any]) -> tuple[Any, Any]:
