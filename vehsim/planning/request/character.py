@@ -1,7 +1,7 @@
 """The character of a plan: the prices of exceeding a vehicle's traits, and the marks at which controls ease.
 
-A character never makes a plan fail. Its limits are soft: a motion exceeds them if its marks leave no alternative, and
-the audit reports the excess. The user's own limits replace them and are strict.
+A character never makes a plan fail. Its limits are soft: a motion exceeds them if its marks leave little alternative,
+and the audit reports the excess. The user's own limits replace them and are strict.
 """
 
 from __future__ import annotations
