@@ -10,6 +10,7 @@ import pytest
 
 import vehsim
 from vehsim import Mark
+from vehsim.planning import Cost
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.constraints.easing import Easing
 from vehsim.planning.problem.transcription import transcribe
@@ -100,6 +101,21 @@ def test_a_flight_between_moving_marks_on_a_line_is_straight(speed, seconds, hea
     assert plan.success
     assert np.abs(plan.clip.positions[:, 1]).max() < 0.001 * speed * seconds
     assert np.ptp(rolls(plan.clip)) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("options", "straight"),
+    [
+        ({}, True),
+        ({"cost": {"safety": 1.0, "effort": 1.0}}, False),
+        ({"terms": [Cost("aside", lambda k: (k.position[1] - 2) ** 2, integral=True)]}, False),
+    ],
+)
+def test_costs_that_may_ask_for_turns_set_no_price_on_them(options, straight):
+    marks = [Mark(1 + 24 * t, position=(10 * t, 0, 60), velocity=(10, 0, 0)) for t in (0, 8)]
+    request = make_request(vehsim.load_vehicle("helicopter"), None, marks, fps=24, segments=16, **options)
+    (block,) = [block for block in blocks_of(request, transcribe(request.weighed), None) if isinstance(block, Easing)]
+    assert block.straight is straight and len(block.steady) == 2
 
 
 def test_a_flight_on_an_arc_begins_in_its_turn():

@@ -71,16 +71,8 @@ class Easing(Block):
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         ground = tuple(mark.on_ground for mark in self.marks)
-        ends = tuple(eased(self.traits, self.marks))
-        return (
-            "easing",
-            self.names,
-            ends,
-            ground,
-            self._rates(transcription).tobytes(),
-            tuple(self.steady),
-            self.straight,
-        )
+        ends, rates = tuple(eased(self.traits, self.marks)), self._rates(transcription).tobytes()
+        return "easing", self.names, ends, ground, rates, tuple(self.steady), self.straight
 
     def _rates(self, transcription: Transcription) -> Array:
         """The largest rates of the controls over their scale, 1/s."""
