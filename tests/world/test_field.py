@@ -159,7 +159,7 @@ def test_a_part_of_a_field_is_a_part_of_the_same_grid(terrain, quick):
     own, same = (each[inner:-inner, inner:-inner] for each in (part.distances, there))
     near = np.abs(same) < 6
     error = np.abs(own - same)[near]
-    assert len(error) > 1000 and np.quantile(error, 0.95) < 1e-4 and np.quantile(error, 0.99) < 0.05
+    assert len(error) > 1000 and np.quantile(error, 0.95) < 1e-4 and np.quantile(error, 0.99) < 0.1
 
 
 @pytest.mark.parametrize("terrain", [hills(), crags()], ids=["hills", "crags"])
