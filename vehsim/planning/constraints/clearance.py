@@ -294,10 +294,15 @@ class Clearance(Block):
         """Whether spheres bound a motion somewhere although the vehicle's surface has `ROOMY` m to spare there."""
         if self.cover is None or self.cover.static is None or self.spare is not None or self._landings():
             return False
+        points, first = surface_by_sphere(self.request.vehicle)
+        parts, value, room = np.split(points, first[1:]), self.cover.static.value, self.required + ROOMY
         positions, rotations = self._poses(trajectory)
-        bound = self._spheres(self.cover.static, positions, rotations).min(axis=1) < self.required + SLACK
-        surface = self._surface(positions[bound], rotations[bound]).min(axis=1)
-        return bool((surface > self.required + ROOMY).any())
+        spheres = self._spheres(self.cover.static, positions, rotations)
+        bound = spheres.min(axis=1) < self.required + SLACK
+        return any(
+            all(value(p + parts[k] @ R.T).min() > room for k in np.flatnonzero(away < room))  # the others have room
+            for away, p, R in zip(spheres[bound], positions[bound], rotations[bound], strict=True)
+        )
 
     def squeezes(self, guess: Trajectory) -> bool:
         """Whether along a guess the vehicle's surface has room everywhere, but the spheres do not.
