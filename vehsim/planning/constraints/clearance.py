@@ -294,15 +294,10 @@ class Clearance(Block):
         """Whether spheres bound a motion somewhere although the vehicle's surface has `ROOMY` m to spare there."""
         if self.cover is None or self.cover.static is None or self.spare is not None or self._landings():
             return False
-        points, first = surface_by_sphere(self.request.vehicle)
-        parts, value, room = np.split(points, first[1:]), self.cover.static.value, self.required + ROOMY
         positions, rotations = self._poses(trajectory)
         spheres = self._spheres(self.cover.static, positions, rotations)
         bound = spheres.min(axis=1) < self.required + SLACK
-        return any(
-            all(value(p + parts[k] @ R.T).min() > room for k in np.flatnonzero(away < room))  # the others have room
-            for away, p, R in zip(spheres[bound], positions[bound], rotations[bound], strict=True)
-        )
+        return any(self._with_room(spheres[bound], positions[bound], rotations[bound], self.required + ROOMY))
 
     def squeezes(self, guess: Trajectory) -> bool:
         """Whether along a guess the vehicle's surface has room everywhere, but the spheres do not.
@@ -315,8 +310,10 @@ class Clearance(Block):
         at_marks = {KNOTS: _knots(guess.layout, guess.layout.mark_knots[given])}
         for places, room in ((None, ROOMY), (at_marks, FINEST)):
             positions, rotations = self._poses(guess, places)
-            tight = self._spheres(self.cover.static, positions, rotations).min(axis=1) < self.required - room
-            if tight.any() and (self._surface(positions[tight], rotations[tight]) > self.required - FINEST).all():
+            spheres = self._spheres(self.cover.static, positions, rotations)
+            tight = spheres.min(axis=1) < self.required - room
+            here = spheres[tight], positions[tight], rotations[tight]
+            if tight.any() and all(self._with_room(*here, self.required - FINEST)):
                 return True
         return False
 
@@ -339,6 +336,15 @@ class Clearance(Block):
         centres = positions[:, None] + self.cover.centres @ rotations.transpose(0, 2, 1)
         away = field.beyond(centres.reshape(-1, 3))
         return np.asarray(away.reshape(centres.shape[:2]) - self.cover.radii)
+
+    def _with_room(self, spheres: Array, positions: Array, rotations: Array, room: float) -> Iterator[bool]:
+        """Whether at each of the poses the vehicle's surface is more than ``room`` m away from everything at rest; of
+        ``spheres`` that are so far away themselves (places, k) m, it need not be measured."""
+        assert self.cover is not None and self.cover.static is not None
+        points, first = surface_by_sphere(self.request.vehicle)
+        parts, value = np.split(points, first[1:]), self.cover.static.value
+        for away, position, R in zip(spheres, positions, rotations, strict=True):
+            yield all(value(position + parts[k] @ R.T).min() > room for k in np.flatnonzero(away <= room))
 
     def _surface(self, positions: Array, rotations: Array) -> Array:
         """Distance of the vehicle's surface in every sphere from everything at rest, (places, k) m."""
