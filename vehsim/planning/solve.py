@@ -175,7 +175,12 @@ def _completed(run: Run, solved: Iterate, patience: Patience) -> Iterate:
     if all(new is old for new, old in zip(blocks, solved.blocks, strict=True)):
         return solved
     whole = replace(solved, blocks=blocks)
-    return _solve_active(run, whole, "again", patience) if solved.transcription.rides_on_air else whole
+    if not solved.transcription.rides_on_air:
+        return whole
+    finer = solved.rung < 0 and solved.request.refine and math.isinf(run.deadline.end)
+    if finer and not landings(solved.request.marks):
+        return replace(whole, stale=True)  # it is solved with that on more segments
+    return _solve_active(run, whole, "again", patience)
 
 
 def _solve_active(run: Run, iterate: Iterate, start: Start, patience: Patience) -> Iterate:
