@@ -1,5 +1,8 @@
 """Plans near rock: through the gap, at the requested distance, certified on the exported motion."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -57,6 +60,23 @@ def test_over_a_wide_terrain_only_the_part_around_the_marks_is_measured(helicopt
     assert len(measured) == 2 and measured[0] < 0.3 * measured[1]
     assert all(plan.success for plan in plans)
     np.testing.assert_allclose(plans[0].clip.positions, plans[1].clip.positions, atol=1e-2)
+
+
+def test_a_flight_loads_little_of_scipy(flight):
+    """Only what libigl loads: the rest would take a tenth of the time of a process's first plan. The vehicle's hulls
+    are in the cache, since it has flown before."""
+    code = """
+import sys, numpy as np, vehsim
+from vehsim.world.terrain.terrain import Terrain
+x, y = np.meshgrid(np.arange(0, 121, 4.0), np.arange(0, 121, 4.0))
+world = vehsim.World(Terrain("hill", 15 * np.exp(-((x - 60) ** 2 + (y - 62) ** 2) / 300), cell=(4.0, 4.0)))
+ends = [vehsim.Mark(1, position=(20, 60, 8), heading=0, velocity=(0, 0, 0)),
+        vehsim.Mark(300, position=(100, 60, 8), velocity=(0, 0, 0))]
+assert vehsim.plan(vehsim.load_vehicle("helicopter"), world, ends, segments=32).success
+print(*(name for name in ("igl", "scipy.special", "scipy.linalg", "scipy.ndimage") if name in sys.modules))
+"""
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == ["igl"]
 
 
 def test_clearance_is_certified_on_the_exported_motion(flight, helicopter, world):
