@@ -270,16 +270,39 @@ def test_rest_on_ground_that_is_too_steep_for_the_grip_is_refused(rise, refused)
     )
 
 
+def ridge():
+    """A ridge ``4 exp(-x^2 / 225)`` m."""
+    heights = 4 * np.exp(-(np.linspace(-4, 4, 49) ** 2))
+    return World(Terrain("ridge", np.tile(heights, (49, 1)), (-60.0, -60.0), (2.5, 2.5)))
+
+
+def test_tyres_that_carry_less_on_a_crest_hold_less():
+    """A bend on top of a ridge, by second differences of the way over it: its slope alone would allow a third more."""
+    marks = [rest(1, (-30, 0, 0), heading=0), Mark("free", position=(0, 3, 0)), rest("free", (30, 0, 0), heading=0)]
+    options = {"segments": 48, "cost": QUICK, "character": "stunt", "limits": {"grip": 0.5, "speed": 11.0}}
+    plan = vehsim.plan(vehsim.load_vehicle("car"), ridge(), marks, **options)
+    assert plan.success, plan.message
+    step = 1 / 24 / 16
+    times = np.linspace(step, plan.duration - step, 6000)
+    x = np.array([plan.clip.at(times + d).positions[:, 0] for d in (-step, 0, step)])
+    z = 4 * np.exp(-((x / 15) ** 2))
+    level = np.diff([spatial(plan.clip.at(times + d))[1] for d in (-step, step)], axis=0)[0][:, :2] / 2 / step
+    force = np.column_stack([level, (z[0] - 2 * z[1] + z[2]) / step**2 + 9.81])
+    slope = -8 * x[1] / 225 * np.exp(-((x[1] / 15) ** 2))
+    across = (force[:, 2] - slope * force[:, 0]) / np.hypot(1, slope)
+    along = np.sqrt(np.sum(force**2, axis=1) - across**2)
+    assert across.min() < 0.75 * 9.81
+    assert 0.97 * 0.5 < (along / across).max() < 1.03 * 0.5
+
+
 def test_a_users_law_of_the_slope_holds():
-    """Over a ridge ``4 exp(-x^2 / 225)`` m, a car climbs and descends no faster than allowed."""
-    ridge = 4 * np.exp(-(np.linspace(-4, 4, 49) ** 2))
-    world = World(Terrain("ridge", np.tile(ridge, (49, 1)), (-60.0, -60.0), (2.5, 2.5)))
+    """Over a ridge, a car climbs and descends no faster than allowed."""
     gentle = Constraint("gentle", lambda k: ca.dot(k.slope, k.velocity[0:2]), lower=-0.5, upper=0.5, slack=5e-3)
     marks = [rest(1, (-30, 0, 0), heading=0), rest("free", (30, 0, 0), heading=0)]
     options = {"segments": 24, "cost": QUICK, "character": "stunt"}
     car, fastest = vehsim.load_vehicle("car"), []
     for terms in ([], [gentle]):
-        plan = vehsim.plan(car, world, marks, terms=terms, **options)
+        plan = vehsim.plan(car, ridge(), marks, terms=terms, **options)
         assert plan.success, plan.message
         motion = plan.clip.at(np.linspace(0, plan.duration, 2000))
         x, speed = motion.positions[:, 0], spatial(motion)[1][:, 0]

@@ -273,7 +273,7 @@ def test_slopes_of_the_relief_are_differences_of_its_heights():
         (height(places.T + d) - height(places.T - d)).full().ravel() / 2 / step for d in step * np.eye(2)[:, :, None]
     ]
     assert np.ptp(slopes) > 0.1
-    np.testing.assert_allclose(relief.slopes(places), np.transpose(slopes), atol=1e-6)
+    np.testing.assert_allclose(relief.followed(places, np.zeros_like(places))[0], np.transpose(slopes), atol=1e-6)
     np.testing.assert_allclose(relief.box, [(-20, -10), (25, 14)], atol=1e-12)
 
 

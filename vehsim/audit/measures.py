@@ -187,14 +187,15 @@ def _acceleration(track: Track, wanted: Wanted, scene: Scene) -> Array:
 def _grip(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """The friction that tyres need, over the frame around each sample: the force along the ground over that across it.
 
-    On a slope, the vehicle moves along the ground; where that bends is left out. nan within half a frame of the ends.
+    The vehicle follows the ground. inf where that falls away faster than gravity; nan within half a frame of the ends.
     """
-    slopes = scene.slopes(track, wanted.get("relief"))
+    slopes, lifts = scene.followed(track, wanted.get("relief"))
     level = _accelerations(track)[:, :2]
-    force = np.column_stack([level, np.sum(level * slopes, axis=1) + GRAVITY])
+    force = np.column_stack([level, np.sum(level * slopes, axis=1) + lifts + GRAVITY])
     normal = np.column_stack([-slopes, np.ones(len(slopes))]) / np.hypot(1, _norms(slopes))[:, None]
     across = np.sum(force * normal, axis=1)
-    return _norms(force - across[:, None] * normal) / across
+    along = _norms(force - across[:, None] * normal)
+    return np.where(across <= 0, np.inf, along / np.where(across > 0, across, 1.0)) + 0 * across
 
 
 def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:
@@ -394,7 +395,7 @@ def _law(track: Track, wanted: Wanted, scene: Scene) -> Array:
 
     The law is a serialised CasADi function of position (3,), rotation (9,) by rows, velocity (3,), angular velocity
     (3,) in body axes, acceleration (3,), joints, their rates, controls, seconds since the frame ``start``, and the
-    ground's slope (2,). For ``planar`` requests the rotation is the heading alone.
+    ground's slope (2,) and lift. For ``planar`` requests the rotation is the heading alone.
     """
     import casadi as ca
 
@@ -407,6 +408,7 @@ def _law(track: Track, wanted: Wanted, scene: Scene) -> Array:
         zero, one = np.zeros(n), np.ones(n)
         rotations = np.array([[np.cos(yaw), -np.sin(yaw), zero], [np.sin(yaw), np.cos(yaw), zero], [zero, zero, one]])
         rotations = np.moveaxis(rotations, 2, 0)
+    slopes, lifts = scene.followed(track, wanted.get("relief"))
     columns = [
         track.positions,
         rotations.reshape(n, 9),
@@ -417,9 +419,10 @@ def _law(track: Track, wanted: Wanted, scene: Scene) -> Array:
         np.array([*track.joint_rates.values()]).reshape(-1, n).T,
         track.controls,
         (track.seconds - wanted["start"] / float(track.fps))[:, None],
-        scene.slopes(track, wanted.get("relief")),
+        slopes,
+        lifts[:, None],
     ]
-    law = ca.Function.deserialize(wanted["law"])  # those that were stored before slopes take one column less
+    law = ca.Function.deserialize(wanted["law"])  # those that were stored before slopes take fewer columns
     values = law(*(column.T for column in columns[: law.n_in()]))
     return np.asarray(values, float)[wanted["component"]]
 

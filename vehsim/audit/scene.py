@@ -32,10 +32,15 @@ class Scene:
         None if that is not known."""
         return np.zeros(len(track.frames))
 
-    def slopes(self, track: Track, relief: Sequence[Sequence[float]] | None) -> Array:
-        """Slopes (n, 2) m/m, along X and Y, of the ground below a vehicle on wheels, as smooth as it carries the
-        weight: in the box ``relief`` (2, 2) m, level outside; None: level everywhere. nan if that is not known."""
-        return np.full((len(track.frames), 2), 0.0 if relief is None else np.nan)
+    def followed(self, track: Track, relief: Sequence[Sequence[float]] | None) -> tuple[Array, Array]:
+        """Of the ground below a vehicle on wheels: its slopes (n, 2) m/m, along X and Y, and the vertical acceleration
+        (n,) m/s^2 that its bend adds to that of the slope.
+
+        The ground is as smooth as it carries the weight: in the box ``relief`` (2, 2) m, level outside; None: level
+        everywhere. nan if that is not known.
+        """
+        found = np.full((len(track.frames), 3), 0.0 if relief is None else np.nan)
+        return found[:, :2], found[:, 2]
 
     def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
         """Height (n,) m above the ground of the wheel with the largest gap; nan if there are no wheels."""
@@ -64,12 +69,13 @@ class WorldScene(Scene):
         poses = track.positions, quaternions(track.rotations)
         return _away(self.world, self.vehicle, *poses, track.seconds, track.channels, obstacles_only)
 
-    def slopes(self, track: Track, relief: Sequence[Sequence[float]] | None) -> Array:
+    def followed(self, track: Track, relief: Sequence[Sequence[float]] | None) -> tuple[Array, Array]:
         if relief is None or self.world is None or self.world.terrain is None:
-            return super().slopes(track, relief)
+            return super().followed(track, relief)
         from vehsim.world.ground.slope import relief_of
 
-        return relief_of(self.world.terrain, np.asarray(relief, float)).slopes(track.positions[:, :2])
+        ground = relief_of(self.world.terrain, np.asarray(relief, float))
+        return ground.followed(track.positions[:, :2], track.velocities[:, :2])
 
     def swept(self, track: Track) -> Array:
         return _swept(self.vehicle, track.channels, len(track.frames))

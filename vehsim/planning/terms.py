@@ -34,7 +34,8 @@ class KnotView:
     the later segment; ``omega`` (3,) body axes; ``rotation`` (3, 3) root to world; ``joints, joint_rates`` (s,);
     ``controls`` (c,); ``push``: the generalised force of the controls over the vehicle's weight; ``rates``: the
     velocity along ``push``; ``t``: s since the first mark; ``slope`` (2,): rise per metre along the world's X and Y of
-    the ground under a vehicle on wheels, otherwise 0.
+    the ground under a vehicle on wheels, otherwise 0; ``lift``: the vertical acceleration, m/s^2, that the bend of this
+    ground adds to that of its slope, below zero on a crest.
     """
 
     position: Expr
@@ -50,6 +51,7 @@ class KnotView:
     acceleration: Expr
     names: tuple[str, ...] = ()
     slope: Expr = field(default_factory=lambda: ca.DM.zeros(2))
+    lift: Expr = 0.0
 
     @property
     def power(self) -> Expr:
@@ -255,11 +257,16 @@ def _norm(vector: Expr) -> Expr:
     return ca.sqrt(ca.sumsqr(vector) + 1e-8)
 
 
+LIGHT = 0.01
+"""Share of the weight below which the load on the ground is rounded to stay above zero, where wheels leave it."""
+
+
 def _grip(k: KnotView) -> Expr:
-    """Force of the ground along it over that across it, of a mass that follows its slope."""
-    level, slope = k.acceleration[0:2] / GRAVITY, k.slope
+    """Force of the ground along it over that across it, of a mass that follows it."""
+    level, slope, load = k.acceleration[0:2] / GRAVITY, k.slope, 1 + k.lift / GRAVITY
     rise, steep = ca.dot(slope, level), ca.sumsqr(slope)
-    return ca.sqrt((ca.sumsqr(level) + rise**2 + 2 * rise) * (1 + steep) + steep + 1e-8)
+    along = (ca.sumsqr(level) + rise**2 + 2 * rise * load) * (1 + steep) + steep * load**2
+    return ca.sqrt(along + 1e-8) / ((load + ca.sqrt(load**2 + LIGHT**2)) / 2)
 
 
 COSTS: Registry[Callable[[Any], Expr]] = Registry(

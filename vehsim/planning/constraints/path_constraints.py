@@ -263,7 +263,7 @@ def law_of_clip(transcription: Transcription, term: Constraint) -> ca.Function:
     """A constraint's law as a function of a clip's `samples`."""
     v = transcription.vehicle
     sizes = {"pose": 7, "twist": v.group.dim, "acceleration": 3, "r": len(v.joints), "u": len(v.joints)}
-    sizes |= {"c": len(v.controls), "t": 1, "slope": 2}
+    sizes |= {"c": len(v.controls), "t": 1, "slope": 2, "lift": 1}
     given = [ca.SX.sym(name, size) for name, size in sizes.items()]
     return ca.Function("law", given, [evaluate(term, clip_view(v, *given))])
 
@@ -278,7 +278,6 @@ def samples(transcription: Transcription, clip: Clip, times: Array) -> list[Arra
     first, last = slope - 4 * velocity[k] - 2 * velocity[k + 1], 2 * velocity[k] + 4 * velocity[k + 1] - slope
     acceleration = (first + share * (last - first)) / h
     pose = np.hstack([motion.positions, motion.orientations])
-    slopes = transcription.slopes(motion.positions)
-    now = times[:, None]
-    kept = (pose, motion.twists, acceleration, motion.joints, motion.joint_rates, motion.controls, now, slopes)
-    return [column.T for column in kept]
+    slopes, lifts = transcription.followed(motion.positions, spatial(motion)[1])
+    kept = (pose, motion.twists, acceleration, motion.joints, motion.joint_rates, motion.controls)
+    return [column.T for column in (*kept, times[:, None], slopes, lifts[:, None])]

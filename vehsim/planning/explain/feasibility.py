@@ -124,7 +124,8 @@ def _too_steep(request: Request, mark: Mark) -> list[Refusal]:
     grip = request.limits.get("grip")
     if not mark.at_rest or mark.position is None or mark.tolerance or not math.isfinite(grip):
         return []
-    steep = float(np.linalg.norm(transcribe(request.weighed).slopes(np.array([mark.position]))))
+    slopes, _ = transcribe(request.weighed).followed(np.array([mark.position]), np.zeros((1, 2)))
+    steep = float(np.linalg.norm(slopes))
     if steep <= grip:
         return []
     message = f"tyres need {steep:.3g} g to rest on the slope there, limit {grip:.3g}"

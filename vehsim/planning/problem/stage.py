@@ -99,11 +99,12 @@ def clip_view(
     c: Expr,
     time: Expr,
     slope: Expr,
+    lift: Expr,
 ) -> KnotView:
     """The view of a sample of a clip.
 
     ``pose`` (7,) and body ``twist`` (d,) of the rig's root, its ``acceleration`` (3,) in the world, joints, their
-    rates, and controls, SI; ``slope`` (2,) of the ground below.
+    rates, and controls, SI; ``slope`` (2,) and ``lift`` of the ground below.
     """
     group = vehicle.group
     body = ca.vertcat(pose[0:3] + SO3.matrix(pose[3:7]) @ ca.DM(vehicle.origin), pose[3:7])
@@ -111,35 +112,34 @@ def clip_view(
     xi = group.velocity_from_body(g, group.shift(twist, ca.DM(vehicle.origin)))
     view = _view(vehicle, g, r, u, xi, c, time)
     rotation = SO3.matrix(pose[3:7])
-    return replace(view, position=pose[0:3], rotation=rotation, acceleration=acceleration, slope=slope)
+    return replace(view, position=pose[0:3], rotation=rotation, acceleration=acceleration, slope=slope, lift=lift)
 
 
 @dataclass
 class Sloping:
-    """Gives the views of an element the slopes of the ground below them, as symbols, and collects what these are."""
+    """Gives the views of an element the slope and bend of the ground below them, as symbols, and collects what these
+    are."""
 
     transcription: Transcription
-    _places: list[Expr] = field(default_factory=list)
-    _slopes: list[Expr] = field(default_factory=list)
+    _views: list[KnotView] = field(default_factory=list)
 
     def __call__(self, view: KnotView) -> KnotView:
         if self.transcription.relief is None:
             return view
-        self._places.append(view.position[0:2])
-        self._slopes.append(ca.SX.sym("slope", 2))
-        return replace(view, slope=self._slopes[-1])
+        self._views.append(replace(view, slope=ca.SX.sym("slope", 2), lift=ca.SX.sym("lift")))
+        return self._views[-1]
 
     def of(self, value: Expr) -> dict[str, Any]:
         """The arguments ``space`` and ``inner`` of an `Element` with this value; none if it does not use slopes."""
         relief = self.transcription.relief
-        if relief is None or not ca.depends_on(value, ca.vertcat(*self._slopes)):
+        if relief is None or not ca.depends_on(value, ca.vertcat(*(ca.vertcat(v.slope, v.lift) for v in self._views))):
             return {}
-        places = ca.horzcat(*self._places)
-        models = ca.SX.sym("models", 2 + relief.CELL, len(self._places))
-        inner = [
-            (slope, relief.slope(place, models[2:, k]))
-            for k, (slope, place) in enumerate(zip(self._slopes, self._places, strict=True))
-        ]
+        places = ca.horzcat(*(view.position[0:2] for view in self._views))
+        models = ca.SX.sym("models", 2 + relief.CELL, len(self._views))
+        inner = []
+        for k, view in enumerate(self._views):
+            inner.append((view.slope, relief.slope(places[:, k], models[2:, k])))
+            inner.append((view.lift, relief.lift(places[:, k], view.velocity[0:2], models[2:, k])))
         return {"space": SpatialField(places, models, lambda count, order: relief.cells(count)), "inner": inner}
 
 

@@ -183,9 +183,11 @@ class Transcription:
         """The relief that carries the vehicle's weight; None: it stands on level ground or flies."""
         return self.ground.relief if isinstance(self.ground, Weight) else None
 
-    def slopes(self, places: Array) -> Array:
-        """Slopes (n, 2) m/m of the ground that carries the vehicle at places (n, 2 or more) m."""
-        return np.zeros((len(places), 2)) if self.relief is None else self.relief.slopes(places[:, :2])
+    def followed(self, places: Array, velocities: Array) -> tuple[Array, Array]:
+        """`Relief.followed` of the ground that carries the vehicle, at places and velocities (n, 2 or more) m, m/s."""
+        if self.relief is None:
+            return np.zeros((len(places), 2)), np.zeros(len(places))
+        return self.relief.followed(places[:, :2], velocities[:, :2])
 
     def cells(self, count: int) -> ca.Function:
         """Poses (n, count) -> the values of `local`'s symbols there, as columns."""

@@ -156,7 +156,7 @@ def _law(request: Request, term: Constraint, begin: float, end: float, first: fl
     """
     vehicle = request.vehicle
     sizes = {"position": 3, "rotation": 9, "velocity": 3, "omega": 3, "acceleration": 3, "joints": len(vehicle.joints)}
-    sizes |= {"joint_rates": len(vehicle.joints), "controls": len(vehicle.controls), "t": 1, "slope": 2}
+    sizes |= {"joint_rates": len(vehicle.joints), "controls": len(vehicle.controls), "t": 1, "slope": 2, "lift": 1}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     hidden = {name: ca.SX.sym(name, 6) for name in ("push", "rates")}
     rotation = ca.reshape(given["rotation"], 3, 3).T
@@ -180,7 +180,7 @@ def _law(request: Request, term: Constraint, begin: float, end: float, first: fl
 
 
 def _relief(request: Request) -> list[list[float]] | None:
-    """The box of the relief that carries the vehicle's weight, as `Scene.slopes` takes it."""
+    """The box of the relief that carries the vehicle's weight, as `Scene.followed` takes it."""
     relief = transcribe(request.weighed).relief
     return None if relief is None else relief.box.tolist()
 

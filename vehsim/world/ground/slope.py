@@ -148,13 +148,24 @@ class Relief:
         at = ca.SX.sym("xy", 2)
         return ca.substitute(ca.gradient(self.height(at, cell), at), at, xy)
 
-    def slopes(self, xy: Array) -> Array:
-        """Slopes (n, 2) m/m at places (n, 2) m."""
+    def lift(self, xy: Any, velocity: Any, cell: Any = None) -> Any:
+        """Vertical acceleration m/s^2 of what follows the ground at a steady horizontal ``velocity`` (2,) m/s, as an
+        expression: below zero on a crest."""
         import casadi as ca
 
-        at, cell = ca.SX.sym("xy", 2), ca.SX.sym("cell", self.CELL)
-        slope = ca.Function("slope", [at, cell], [self.slope(at, cell)]).map(len(xy))
-        return np.asarray(slope(xy.T, self.cells(len(xy))(xy.T))).T
+        at = ca.SX.sym("xy", 2)
+        bend = ca.substitute(ca.hessian(self.height(at, cell), at)[0], at, xy)
+        return ca.bilin(bend, velocity, velocity)
+
+    def followed(self, xy: Array, velocities: Array) -> tuple[Array, Array]:
+        """Slopes (n, 2) m/m at places (n, 2) m, and `lift` (n,) m/s^2 at ``velocities`` (n, 2) m/s."""
+        import casadi as ca
+
+        at, velocity, cell = ca.SX.sym("xy", 2), ca.SX.sym("velocity", 2), ca.SX.sym("cell", self.CELL)
+        laws = [self.slope(at, cell), self.lift(at, velocity, cell)]
+        found = ca.Function("followed", [at, velocity, cell], laws).map(len(xy))
+        slopes, lifts = found(xy.T, velocities.T, self.cells(len(xy))(xy.T))
+        return np.asarray(slopes).T, np.asarray(lifts).ravel()
 
     @property
     def box(self) -> Array:
