@@ -111,7 +111,7 @@ def test_a_mark_that_is_too_early_for_an_actuator_gets_the_frame_that_would_do()
         marks = [Mark(frame=f, position=(x, 0, 0), heading=0, velocity=(0, 0, 0)) for f, x in ((1001, 0), (last, 6))]
         return vehsim.plan(slow, None, marks, character="stunt", segments=16)
 
-    with pytest.warns(vehsim.errors.FailedPlan, match="too early; earliest") as caught:
+    with pytest.warns(vehsim.errors.FailedPlan, match="too early; use") as caught:
         failed = drive(1049)
-    frame = int(re.search(r"earliest (\d+)", str(caught[0].message))[1])
+    frame = int(re.search(r"use (\d+)", str(caught[0].message))[1])
     assert not failed.success and drive(frame).success

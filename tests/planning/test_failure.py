@@ -124,7 +124,7 @@ def test_misses_are_reported_in_the_marks_units():
     ):
         vehsim.plan(car, None, tight, segments=16, limits={"acceleration": 5}, terms=[stay(within=(-1, -3, 8, 4))])
     level = [Mark(1, position=(0, 0, 20), velocity=REST), Mark(101, position=(40, 0, 20), velocity=REST)]
-    with pytest.warns(UserWarning, match=r"mark\[1\].frame = 101 is too early; earliest 2\d\d"):
+    with pytest.warns(UserWarning, match=r"mark\[1\].frame = 101 is too early; use 2\d\d"):
         late = vehsim.plan(helicopter, None, level, segments=12, limits={"bank": np.deg2rad(10)})
     assert "loosen" not in late.message  # the message has a remedy already
     assert _amount("heading", np.array([0.6, 0.8])) == "143 deg"
@@ -216,12 +216,12 @@ def test_a_failure_is_explained_in_the_same_words_however_slow_the_machine_is(mo
 
     expected, clock = message(), count(0.0, 600.0)
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
-    assert message() == expected and "earliest" in expected
+    assert message() == expected and "too early; use" in expected
 
 
 def test_failed_solves_report_the_violation_and_the_remedy():
     with pytest.warns(
-        UserWarning, match=r"mark\[1\].frame = 49 is too early; earliest 1\d\d; .*mark\[1\].position is missed by"
+        UserWarning, match=r"mark\[1\].frame = 49 is too early; use 1\d\d; .*mark\[1\].position is missed by"
     ):
         plan = vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
     assert not plan.success and np.all(np.isfinite(plan.clip.positions))
@@ -523,7 +523,7 @@ def test_marks_that_are_too_early_are_named_among_obstacles_too(monkeypatch):
     monkeypatch.setattr("vehsim.planning.fallbacks.RETRIES", ((1.2, 0.3),))
     world = vehsim.World(obstacles=[box("tower", (15, 12, 0), (4, 4, 40))])
     marks = [Mark(1001, position=(0, 0, 10), velocity=REST), Mark(1081, position=(30, 0, 10), velocity=REST)]
-    with pytest.warns(UserWarning, match=r"mark\[1\]\.frame = 1081 is too early; earliest 11[3-6]\d"):
+    with pytest.warns(UserWarning, match=r"mark\[1\]\.frame = 1081 is too early; use 11[3-6]\d"):
         plan = vehsim.plan(
             vehsim.load_vehicle("helicopter"), world, marks, segments=16, limits={"bank": np.radians(20)}
         )
@@ -535,9 +535,9 @@ def test_the_earliest_frame_is_found_without_a_missed_mark(monkeypatch):
     late."""
     monkeypatch.setattr(elastic, "_missed", lambda run, guess: ("", None))
     monkeypatch.setattr("vehsim.planning.fallbacks.RETRIES", ())
-    with pytest.warns(UserWarning, match=r": mark\[1\].frame = 49 is too early; earliest \d+$") as heard:
+    with pytest.warns(UserWarning, match=r": mark\[1\].frame = 49 is too early; use \d+$") as heard:
         vehsim.plan(vehsim.load_vehicle("car"), None, CAR_ASIDE, segments=12)
-    frame = int(re.search(r"earliest (\d+)", str(heard[0].message))[1])
+    frame = int(re.search(r"use (\d+)", str(heard[0].message))[1])
     assert vehsim.plan(vehsim.load_vehicle("car"), None, [CAR_ASIDE[0], replace(CAR_ASIDE[1], frame=frame)]).success
     with pytest.warns(
         UserWarning, match=r"iterations allowed: all constraints are met, but the cost is not minimal yet"

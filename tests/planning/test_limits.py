@@ -264,7 +264,7 @@ def test_rest_on_ground_that_is_too_steep_for_the_grip_is_refused(rise, refused)
     car = vehsim.load_vehicle("car", {"surface": "snow"})
     marks = [rest(1, REST, heading=0), rest(145, (12, 0, 0))]
     request = make_request(car, sloping((rise, 0.0)), marks, fps=24, segments=8, limits={"grip": 1.0})
-    told = "tyres need 0.36 g to rest on the slope there, limit 0.35; move it to gentler ground, or raise limits.grip"
+    told = "to rest on the slope there, tyres need 0.36 g; limits.grip = 1 on snow is 0.35; move it to gentler ground"
     assert [str(refusal) for refusal in refusals(request)] == (
         [f"mark[{k}].position: {told}" for k in (0, 1)] if refused else []
     )

@@ -216,7 +216,7 @@ def _by_leg(run: Run, guess: Iterate) -> Why:
 
 
 def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> Why:
-    """The reason that mark ``i`` is too early, and the first frame for which a plan is found.
+    """The reason that mark ``i`` is too early, and a frame for which a plan is found.
 
     The marks from ``i`` on are tried at ``frames``, or a little later.
     """
@@ -230,7 +230,7 @@ def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> Why:
         later = {k: math.ceil(frame + margin * (frame - first) - 1e-3) for k, frame in frames.items()}
         if not run.deadline.late and _is_met(run, guess, later):
             at = _by_name(marks, later)
-            return Why(f"{early}; earliest {later[i]}{_then([f'{name}.frame = {at[name]}' for name in at][1:])}", at)
+            return Why(f"{early}; use {later[i]}{_then([f'{name}.frame = {at[name]}' for name in at][1:])}", at)
     return Why(f"{early}; it takes until {frames[i]} at least")
 
 

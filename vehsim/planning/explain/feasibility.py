@@ -32,6 +32,7 @@ from vehsim.planning.request.request import Request
 from vehsim.planning.terms import Constraint
 from vehsim.planning.trim import upright
 from vehsim.vehicles.definition.mechanics import free_size
+from vehsim.vehicles.definition.surfaces import SURFACES
 
 Array = NDArray[np.float64]
 
@@ -128,8 +129,11 @@ def _too_steep(request: Request, mark: Mark) -> list[Refusal]:
     steep = float(np.linalg.norm(slopes))
     if steep <= grip:
         return []
-    message = f"tyres need {steep:.3g} g to rest on the slope there, limit {grip:.3g}"
-    return [Refusal(mark, "position", message, "move it to gentler ground, or raise limits.grip")]
+    surface = request.vehicle.surface
+    friction = SURFACES[surface].friction
+    message = f"to rest on the slope there, tyres need {steep:.3g} g; limits.grip = {grip / friction:.3g} on {surface} "
+    raised = ", or raise limits.grip" if steep < friction else ""
+    return [Refusal(mark, "position", f"{message}is {grip:.3g}", f"move it to gentler ground{raised}")]
 
 
 def _applies(term: Constraint, mark: Mark) -> bool:
