@@ -21,6 +21,7 @@ from vehsim.planning.request.landing import landing_clearance, rounded
 from vehsim.planning.request.ranges import stay
 from vehsim.planning.request.request import make_request
 from vehsim.rig.parts import solids
+from vehsim.runtime.progress import silent
 from vehsim.world.distance.clearance import ObstacleScene
 from vehsim.world.ground.touchdown import height_below, put_down
 from vehsim.world.obstacles import obstacles as ob
@@ -417,3 +418,20 @@ def test_the_surface_in_the_spheres_is_as_far_away_as_the_hulls(helicopter):
     np.testing.assert_allclose(surface, hulls, atol=0.15)
     centres, _ = sphere_cover(helicopter)
     assert len(first) == len(centres) and first[0] == 0 and (np.diff([*first, len(points)]) > 0).all()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_flight_passes_between_two_towers_if_that_is_easier(monkeypatch):
+    """It went round both, 26 m aside, and banked by 45 degrees."""
+    towers = [ob.box("left", (45, 7, 0), (9, 9, 45)), ob.box("right", (85, -9, 0), (10, 10, 50))]
+    world = World("flat", obstacles=[*towers, ob.box("aside", (62, 34, 0), (12, 8, 30))])
+    marks = [Mark(frame, position=(x, 0, 22), velocity=(15, 0, 0)) for frame, x in ((1, 0), (181, 130))]
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), world, marks, segments=64)
+    assert plan.success and plan.clearance > 0.99
+    assert np.abs(plan.clip.positions[:, 1]).max() < 10
+    bank = np.degrees(np.arccos(plan.clip.matrices()[:, 2, 2])).max()
+    assert bank < 33
+
+    request = make_request(plan.clip.vehicle, world, marks, fps=24, segments=64)
+    monkeypatch.setattr(routes, "SHORTER", 0.0)  # as before
+    assert np.abs(np.vstack(routes.find_paths(request, None, silent))[:, 1]).max() > 20

@@ -7,6 +7,7 @@ import pytest
 
 from vehsim.errors import InputError, SolveError
 from vehsim.world.distance import route
+from vehsim.world.obstacles import box
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -134,3 +135,12 @@ def test_ends_in_the_rock_say_how_deep_and_where_it_is_free(canyon):
         canyon.route(START, GOAL, 1.0, ceiling=10)
     with pytest.raises(InputError, match="not a point"):
         canyon.route((0, np.nan, 0), GOAL, 1.0)
+
+
+@pytest.mark.parametrize(("through", "other"), [((40, 12, 20), True), ((40, -30, 20), False), ((40, -12, 20), False)])
+def test_paths_on_other_sides_enclose_something(through, other):
+    """A path past a tower on its right, at 12 m: on its left is another side, farther to the right is not."""
+    world = World("flat", obstacles=[box("tower", (40, 0, 0), (8, 8, 40))])
+    field = world.distance_field(box=[[-20, -60, -5], [100, 60, 80]], quick=True)
+    one, another = (np.array([(0, 0, 20), place, (80, 0, 20)], float) for place in ((40, -12, 20), through))
+    assert route.on_other_side(field, one, another) is route.on_other_side(field, another, one) is other

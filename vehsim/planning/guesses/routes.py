@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,18 @@ from vehsim.planning.trim import swims
 from vehsim.runtime.progress import Progress, silent
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import STUNT
-from vehsim.world.distance.route import check_free
+from vehsim.world.distance.route import check_free, on_other_side
+
+if TYPE_CHECKING:
+    from vehsim.world.distance.field import DistanceField
 
 Array = NDArray[np.float64]
 
 DETOUR = 1.5
 """Largest length of a preferred wide route, relative to a narrow route."""
+SHORTER, BOLD = 0.96, 0.5
+"""Length of a route between obstacles relative to that around them below which it is the better guess; and how much it
+avoids them, see `SHY`. Round both towers instead of between them, a flight banked by 45 degrees instead of 29."""
 RUN_UP = 0.5
 """Length of the straight way to a mark that is passed in a direction, relative to the turning radius."""
 
@@ -145,7 +152,11 @@ def _routes(
     for done, (a, b) in enumerate(legs):
         progress("searching for a path", done / len(legs))
         try:
-            found.append(request.world.route(a + up, b + up, radius + request.clearance, lid, box, best) - up)
+            route = partial(request.world.route, a + up, b + up, radius + request.clearance, lid, box, best)
+            path = route()
+            if request.world.standing and SHORTER * path_length(path) > math.dist(a, b):
+                path = _direct(field, path, route(shy=BOLD))
+            found.append(path - up)
         except InputError:
             for mark, end in ((kept[done], a), (kept[done + 1], b)):
                 check_free(field, f"{mark.name}.position", end, request.clearance, ceiling, request.world.height)
@@ -160,6 +171,13 @@ def _routes(
             names = f"{kept[done].name} to {kept[done + 1].name}"
             raise SolveError(f"no path from {names} with {room}{below}", remedy) from None
     return found
+
+
+def _direct(field: DistanceField, wide: Array, short: Array) -> Array:
+    """The ``short`` one of two routes (k, 3), if it passes something on another side and saves enough; else the
+    ``wide`` one, from which solves are easier."""
+    shorter = path_length(short) < SHORTER * path_length(wide)
+    return short if shorter and on_other_side(field, wide, short) else wide
 
 
 def _length(paths: Sequence[Array]) -> float:

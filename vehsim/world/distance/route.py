@@ -28,6 +28,8 @@ STRAIGHT = 1.02
 """Largest cost of a straight path that is taken without a search, over its length: no path costs less than that."""
 SHY = 4.0
 """At the clearance limit, a metre costs 1 + SHY times as much as in the open."""
+BETWEEN, EVEN = 16, 64
+"""Numbers of paths between two, and of points on each, by which `on_other_side` compares them."""
 COMFORT = 8.0
 """Distance beyond the requested clearance at which rock no longer adds cost, m."""
 LIFTS = (10.0, 30.0, np.inf)
@@ -42,13 +44,15 @@ def find_route(
     ceiling: float | None = None,
     height: Callable[[Array], Array] | None = None,
     bounds: Array | None = None,
+    shy: float = SHY,
 ) -> Array:
     """A path (k, 3) m from ``start`` to ``goal`` (3,) m that keeps ``clearance`` m from the rock of ``field``.
 
     Near an end that is closer to the rock, the path keeps only the clearance of that end. ``ceiling`` m bounds the
     height; if None, the lowest of `LIFTS` with a path is used. ``height`` (xy -> m) is used to explain errors.
     ``bounds`` (2, 3) m: the box of all space, of which the field may be a part; then a path counts only if none that
-    leaves the part can be better. Raises ``InputError`` if an end is in the rock, ``SolveError`` if there is no path.
+    leaves the part can be better. ``shy``: see `SHY`. Raises ``InputError`` if an end is in the rock, ``SolveError`` if
+    there is no path.
     """
     ends = np.stack([_point("start", start), _point("goal", goal)])
     if field is None or np.ptp(ends, axis=0).max() == 0:
@@ -57,7 +61,7 @@ def find_route(
         check_free(field, name, end, clearance, ceiling, height)
     highest = float(ends[:, 2].max())
     ceilings = [highest + lift for lift in LIFTS] if ceiling is None else [ceiling]
-    search, least = _Search(field, ends, clearance), _least_outside(field, ends, bounds)
+    search, least = _Search(field, ends, clearance, shy), _least_outside(field, ends, bounds)
     free, cost = search.sample(*ends)
     if free and cost <= STRAIGHT * np.linalg.norm(ends[1] - ends[0]):
         return search.smooth(ends)
@@ -71,6 +75,18 @@ def find_route(
     below = "" if ceiling is None else f" below z = {ceiling:g} m"
     message = f"no path from {_say(ends[0])} to {_say(ends[1])} with {clearance:g} m clearance{below}"
     raise SolveError(message, remedy, key="route")
+
+
+def on_other_side(field: DistanceField, one: Array, other: Array) -> bool:
+    """Whether two paths (k, 3) m between the same ends pass something in ``field`` on different sides: then paths
+    between them lead through it."""
+    even = []
+    for path in (one, other):
+        station = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+        at = np.linspace(0, station[-1], EVEN)
+        even.append(np.stack([np.interp(at, station, path[:, k]) for k in range(3)], axis=-1))
+    between = even[0] + np.linspace(0, 1, BETWEEN)[:, None, None] * (even[1] - even[0])
+    return bool((field.value(between.reshape(-1, 3)) < 0.5 * field.spacing).any())
 
 
 def _least_outside(field: DistanceField, ends: Array, bounds: Array | None) -> float:
@@ -126,8 +142,8 @@ def check_free(
 class _Search:
     """Free space between two ends as a graph: grid points, and the cost per metre at each."""
 
-    def __init__(self, field: DistanceField, ends: Array, clearance: float) -> None:
-        self.field, self.ends, self.clearance = field, ends, clearance
+    def __init__(self, field: DistanceField, ends: Array, clearance: float, shy: float) -> None:
+        self.field, self.ends, self.clearance, self.shy = field, ends, clearance, shy
         self.at_ends = field.value(ends)
         stride = int(np.ceil((field.distances.size / (4 * NODES)) ** (1 / 3)))
         self.distance = field.distances[::stride, ::stride, ::stride].astype(float)
@@ -141,7 +157,7 @@ class _Search:
 
     def cost(self, distance: Array) -> Array:
         """Cost per metre at a ``distance`` of m from the rock."""
-        return 1 + SHY * np.clip(1 - (distance - self.clearance) / COMFORT, 0, 1) ** 2
+        return 1 + self.shy * np.clip(1 - (distance - self.clearance) / COMFORT, 0, 1) ** 2
 
     def shortest(self, ceiling: float) -> tuple[Array | None, float]:
         """The cheapest path (k, 3) m over the grid below ``ceiling``, with both ends, and its cost; None, inf if there
@@ -167,7 +183,7 @@ class _Search:
                 return None, np.inf
             for factor in CORRIDORS:
                 # a path's ends, and where it crosses a block, may be this much farther
-                inside = (through <= factor * least + 2 * self.step * (1 + SHY))[block]
+                inside = (through <= factor * least + 2 * self.step * (1 + self.shy))[block]
                 kept = np.cumsum(inside) - 1
                 reached = [kept[each[inside[each]]] for each in near]
                 path, length = self._cheapest(nodes[inside], cost[inside], reached)
