@@ -1,6 +1,7 @@
 """Settings, remedies and marks: what the page offers to change, and what each change does to the file."""
 
 import asyncio
+import re
 import tomllib
 from itertools import groupby
 
@@ -174,7 +175,9 @@ def too_hurried(folder, text):
     session = Session(path, folder, lambda *_: None)
     session.solve()
     (problem,) = [one for one in session.problems if "fixes" in one]
-    assert "earliest" in problem["text"] and str(folder) not in problem["text"] and not session.solved
+    assert (
+        re.search(r"(earliest|use) \d+", problem["text"]) and str(folder) not in problem["text"] and not session.solved
+    )
     session.fix(Fix(kind="fix", fixes=[list(fix) for fix in problem["fixes"]]))
     marks = session.document.data["vehicle"][0]["motion"]["mark"]
     for key, frame in problem["fixes"]:
