@@ -234,7 +234,7 @@ def friction(clip, rise):
 
 @pytest.mark.parametrize("surface, rise", [("asphalt", (0.0, 0.3)), ("gravel", (-0.2, 0.1)), ("snow", (0.1, -0.05))])
 def test_grip_counts_slopes(surface, rise):
-    """The limit is active, and holds by an independent measure; on level ground it would be another motion."""
+    """The limit is active, and holds by an independent measure."""
     car = vehsim.load_vehicle("car", {"surface": surface})
     options = {"cost": QUICK, "limits": {"grip": 0.7}, "character": "stunt", "segments": 32}
     plan = vehsim.plan(car, sloping(rise), DRIVE, **options)

@@ -195,7 +195,7 @@ def _grip(track: Track, wanted: Wanted, scene: Scene) -> Array:
     normal = np.column_stack([-slopes, np.ones(len(slopes))]) / np.hypot(1, _norms(slopes))[:, None]
     across = np.sum(force * normal, axis=1)
     along = _norms(force - across[:, None] * normal)
-    return np.where(across <= 0, np.inf, along / np.where(across > 0, across, 1.0)) + 0 * across
+    return np.asarray(np.divide(along, across, out=np.full_like(along, np.inf), where=~(across <= 0)))
 
 
 def _g_load(track: Track, wanted: Wanted, scene: Scene) -> Array:

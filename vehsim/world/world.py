@@ -327,20 +327,20 @@ class World:
         ceiling: float | None = None,
         box: ArrayLike | None = None,
         best: bool = False,
-        **given: float,
+        shy: float | None = None,
     ) -> Array:
         """A path (k, 3) m from ``start`` to ``goal`` (3,) m through free space, ``clearance`` m from terrain and
         obstacles.
 
         ``box`` (2, 3) m: the region to search; ``best``: whether a path counts only if none outside can be better.
         ``ceiling`` m bounds its height; by default it may be a little higher than start and goal, so that it follows
-        the valleys; ``given``: others of `find_route`. Raises ``InputError`` (an end in the rock) and ``SolveError``
-        (no path).
+        the valleys. ``shy``: how much it avoids them, see `find_route`. Raises ``InputError`` (an end in the rock) and
+        ``SolveError`` (no path).
         """
         from vehsim.world.distance.route import find_route
 
         field, bounds = self.distance_field(box=box, quick=True), self.bounds if best else None
-        return find_route(field, start, goal, clearance, ceiling, self.height, bounds, **given)
+        return find_route(field, start, goal, clearance, ceiling, self.height, bounds, shy)
 
 
 def _water(water: Water | float | None) -> Water | None:

@@ -166,6 +166,7 @@ def _law(request: Request, term: Constraint, begin: float, end: float, first: fl
     if ca.depends_on(value, ca.vertcat(*unseen)):
         return
     law = ca.Function("law", [*given.values()], [value]).serialize()
+    relief = _relief(request) if ca.depends_on(value, ca.vertcat(given["slope"], given["lift"])) else None
     lower, upper = (np.broadcast_to(np.asarray(b, float).ravel(), value.shape[0]) for b in (term.lower, term.upper))
     for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         yield Ask(
@@ -173,7 +174,7 @@ def _law(request: Request, term: Constraint, begin: float, end: float, first: fl
             "law",
             begin,
             end,
-            {"law": law, "component": i, "planar": planar, "start": first, "relief": _relief(request)},
+            {"law": law, "component": i, "planar": planar, "start": first, "relief": relief},
             lower=low - term.slack if math.isfinite(low) else None,
             upper=high + term.slack if math.isfinite(high) else None,
         )

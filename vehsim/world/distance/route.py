@@ -44,15 +44,15 @@ def find_route(
     ceiling: float | None = None,
     height: Callable[[Array], Array] | None = None,
     bounds: Array | None = None,
-    shy: float = SHY,
+    shy: float | None = None,
 ) -> Array:
     """A path (k, 3) m from ``start`` to ``goal`` (3,) m that keeps ``clearance`` m from the rock of ``field``.
 
     Near an end that is closer to the rock, the path keeps only the clearance of that end. ``ceiling`` m bounds the
     height; if None, the lowest of `LIFTS` with a path is used. ``height`` (xy -> m) is used to explain errors.
     ``bounds`` (2, 3) m: the box of all space, of which the field may be a part; then a path counts only if none that
-    leaves the part can be better. ``shy``: see `SHY`. Raises ``InputError`` if an end is in the rock, ``SolveError`` if
-    there is no path.
+    leaves the part can be better. ``shy``: in place of `SHY`. Raises ``InputError`` if an end is in the rock,
+    ``SolveError`` if there is no path.
     """
     ends = np.stack([_point("start", start), _point("goal", goal)])
     if field is None or np.ptp(ends, axis=0).max() == 0:
@@ -61,7 +61,7 @@ def find_route(
         check_free(field, name, end, clearance, ceiling, height)
     highest = float(ends[:, 2].max())
     ceilings = [highest + lift for lift in LIFTS] if ceiling is None else [ceiling]
-    search, least = _Search(field, ends, clearance, shy), _least_outside(field, ends, bounds)
+    search, least = _Search(field, ends, clearance, SHY if shy is None else shy), _least_outside(field, ends, bounds)
     free, cost = search.sample(*ends)
     if free and cost <= STRAIGHT * np.linalg.norm(ends[1] - ends[0]):
         return search.smooth(ends)
