@@ -476,6 +476,24 @@ def test_still_water_has_waves_but_no_wakes_nor_foam(shown):
     assert np.abs(off[0]).max() < 0.01 < 0.05 < np.abs(off[1]).max()
 
 
+def test_a_boat_that_was_planned_has_a_wake_like_one_that_was_simulated(shown):
+    """It moves in the plane, and left the water untouched."""
+    take, world = shown[0], World(water=Water(0.3))
+    marks = [vehsim.Mark(1001 + 12 * k, position=(3.0 * k - 3.0, 0, 0), velocity=(6.0, 0, 0)) for k in range(3)]
+    plan = vehsim.plan(BOAT, world, marks, segments=12, character="stunt")
+    assert plan.success and plan.clip.twists.shape[1] == 3
+    frames = np.arange(1001.0, 1026.0)
+    both = {"plan": plan.clip, "simulation": straight(6.0, 1.0, (-3.0, 0.0, 0.3))}
+    takes = [replace(take, world=world, clips={"boat": clip}) for clip in both.values()]
+    own, other = (authored.floating(each, frames)["boat"] for each in takes)
+    assert (own.volume, own.length, own.beam, own.centre) == (other.volume, other.length, other.beam, other.centre)
+    assert 0.5 < own.wet.min() <= own.wet.max() < 1.0  # it planes
+    grid = water_grid.lay_grid(takes[1])
+    (*_, planned), (*_, simulated) = (authored.surfaces(each, grid, frames) for each in takes)
+    assert planned.foam.max() > 0.4
+    assert np.abs(planned.foam - simulated.foam).mean() < 0.1 * simulated.foam.mean()
+
+
 def test_each_wave_fades_by_its_own_length():
     """Cells of 3 m carry a wave of 40 m as it is, and none of one of 4 m."""
     xy = np.column_stack([np.linspace(0, 400, 4001), np.zeros(4001)])

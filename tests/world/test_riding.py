@@ -11,6 +11,7 @@ import vehsim
 from vehsim import Shot
 from vehsim.lie.quaternions import rotate, tilt_of
 from vehsim.world.water.buoyancy import Afloat
+from vehsim.world.water.gliding import place_on_water
 from vehsim.world.water.water import wave
 from vehsim.world.world import Water, World
 
@@ -91,11 +92,42 @@ def test_a_planned_boat_floats_at_the_level_of_the_water():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         high = vehsim.plan(BOAT, World(water=1.7), marks=marks, fps=24).clip
-    np.testing.assert_allclose(high.positions[:, 2], 1.7, atol=1e-3)
+    np.testing.assert_allclose(high.positions[[0, -1], 2], 1.7, atol=1e-3)
+    assert high.positions[:, 2].min() > 1.699 and high.positions[:, 2].max() < 1.72
     calm = vehsim.plan(BOAT, World(water=0.0), marks=marks, fps=24).clip
     np.testing.assert_array_equal(high.positions[:, :2], calm.positions[:, :2])
     with pytest.warns(UserWarning, match="5.00 m: boat floats on the water, at 1.70 m; give that height, or 0"):
         vehsim.plan(BOAT, World(water=1.7), marks=[mark_at(5.0, mark) for mark in marks], fps=24)
+
+
+def level(speed):
+    """A boat in the plane at a steady speed, as it is solved."""
+    marks = [vehsim.Mark(24 * k, position=(speed * k, 2, 0), velocity=(speed, 0, 0)) for k in range(3)]
+    clip = vehsim.plan(BOAT, World(), marks=marks, fps=24, character="stunt", segments=12).clip
+    assert np.ptp(clip.positions[:, 2]) == 0 and np.abs(clip.twists[:, 1] - speed).max() < 0.05 * speed
+    return clip
+
+
+@pytest.mark.parametrize(("speed", "near"), [(1.5, 0.005), (3.0, 0.03), (5.0, 0.03), (7.0, 0.02), (10.0, 0.02)])
+def test_a_planned_boat_runs_as_forces_on_its_hull_balance_at_its_speed(speed, near):
+    clip = level(speed)
+    placed = place_on_water(replace(clip, positions=clip.positions + np.array([0, 0, 1.7])), World(water=1.7))
+    state = Afloat(BOAT, World(water=1.7)).riding(velocity=(speed, 0.0))
+    _, pitch, roll = tilt_of(placed.orientations)
+    wanted = tilt_of(np.atleast_2d(state.orientation))[1][0]
+    np.testing.assert_allclose(np.degrees(pitch[[0, -1]]), np.degrees(wanted), atol=0.2)
+    np.testing.assert_allclose(placed.positions[[0, -1], 2], state.position[2], atol=near)
+    assert np.abs(roll).max() < 1e-12 and np.array_equal(placed.positions[:, :2], clip.positions[:, :2])
+
+
+def test_a_boat_is_placed_once_and_only_where_there_is_water():
+    clip = level(8.0)
+    placed = place_on_water(clip, World(water=0.0))
+    assert place_on_water(placed, World(water=0.0)) is placed and place_on_water(clip, World()) is clip
+    halves = placed.at(np.linspace(0, placed.times[-1], 37))
+    assert place_on_water(halves, World(water=0.0)) is halves
+    back = replace(clip, twists=-clip.twists)
+    assert place_on_water(back, World(water=0.0)) is back  # astern, a hull stays level
 
 
 def mark_at(height, mark):

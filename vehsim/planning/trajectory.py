@@ -17,7 +17,7 @@ from vehsim.planning.certificates import Executed, executed
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.request import Request
-from vehsim.world.ground.placing import place_on_terrain
+from vehsim.world.placing import placed
 
 Array = NDArray[np.float64]
 
@@ -104,14 +104,14 @@ class Trajectory:
 
 
 def drawn(trajectory: Trajectory, world: Any) -> Clip:
-    """The motion on whole frames of the given vehicle, with wheels on the ground of ``world``, within a millimetre or
-    two."""
+    """The motion on whole frames of the given vehicle, with wheels on the ground or its hull on the water of ``world``,
+    within a millimetre or two."""
     clip = replace(trajectory.clip, vehicle=trajectory.request.vehicle)
     count = int(np.floor((clip.times[-1] - clip.times[0]) * float(clip.fps) + 1e-6)) + 1
     whole = np.minimum(clip.times[0] + np.arange(count) / float(clip.fps), clip.times[-1])
-    return place_on_terrain(clip.at(whole), world, samples=1, coarse=True)
+    return placed(clip.at(whole), world, samples=1, coarse=True)
 
 
 def exported(clip: Clip, request: Request) -> Clip:
-    """A clip of the given vehicle, with its wheels on the terrain."""
-    return place_on_terrain(replace(clip, vehicle=request.vehicle), request.world)
+    """A clip of the given vehicle, with its wheels on the terrain or its hull on the water."""
+    return placed(replace(clip, vehicle=request.vehicle), request.world)

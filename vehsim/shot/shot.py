@@ -285,10 +285,10 @@ class Shot:
         )
 
     def _placed(self, name: str, clip: Clip) -> Clip:
-        from vehsim.world.ground.placing import place_on_terrain
+        from vehsim.world.placing import placed
 
         with naming(name, clip.vehicle.name):
-            return place_on_terrain(clip, self.world)
+            return placed(clip, self.world)
 
     def _carried(self, name: str, clip: Clip, frames: tuple[int, int]) -> Clip:
         """The clip through the handles of a shot's ``frames``."""

@@ -218,15 +218,16 @@ def floating(take: Take, frames: Array) -> dict[str, Floating]:
 
     found: dict[str, Floating] = {}
     for name, clip in take.clips.items():
-        if getattr(clip.vehicle, "hull", None) is None or not len(clip):
+        boat = clip.vehicle.floating or clip.vehicle
+        if boat.hull is None or not len(clip):
             continue
-        afloat = Afloat(clip.vehicle, take.world)
+        afloat = Afloat(boat, take.world)
         height, _ = afloat.floating()
         points, _ = afloat.mesh.quadratic
         low = points[points[:, 2] < -height + 0.15]  # the hull near and below its waterline
         x0, x1 = float(low[:, 0].min()), float(low[:, 0].max())
-        centre = (x0 + x1) / 2 + float(clip.vehicle.origin[0])
-        hull = afloat.mesh.points + clip.vehicle.origin, afloat.mesh.faces
+        centre = (x0 + x1) / 2 + float(boat.origin[0])
+        hull = afloat.mesh.points + boat.origin, afloat.mesh.faces
         wet = _borne(afloat, clip, frames)
         found[name] = Floating(clip, afloat.rest_volume, x1 - x0, float(np.ptp(low[:, 1])), centre, hull, wet)
     return found
@@ -234,12 +235,10 @@ def floating(take: Take, frames: Array) -> dict[str, Floating]:
 
 def _borne(afloat: Any, clip: Clip, frames: Array) -> Array:
     """Share (n,) of a vehicle's weight on the water on frames, 0 to 1."""
-    if clip.twists.shape[1] != 6:
-        return np.ones(len(frames))
     times = (frames - clip.start_frame) / float(clip.fps)
     T_wr = clip_matrices(clip, frames)
     points, faces = afloat.mesh.quadratic
-    local = points + clip.vehicle.origin
+    local = points + afloat.vehicle.origin
     wet = []
     for t, pose in zip(times.tolist(), T_wr, strict=True):
         world = local @ pose[:3, :3].T + pose[:3, 3]

@@ -83,9 +83,9 @@ class EditTable(Table):
         from pxr import Usd
 
         from vehsim.planning.retouch import KEPT, retouch
-        from vehsim.world.ground.placing import place_on_terrain
+        from vehsim.world.placing import placed
 
-        clip = place_on_terrain(clip, context.world)
+        clip = placed(clip, context.world)
         with Usd.StageCacheContext(Usd.StageCache()):  # the stage is opened once
             edited = self.read(clip.vehicle, context)
             parts = self._parts_moved(edited, delivered, context, curves)

@@ -15,6 +15,8 @@ class Vehicle(Definition):
     planar: Vehicle | None = None
     """The same vehicle on calm water, moving in the plane. Plans use it, and so does motion in a world without water.
     None: the vehicle itself."""
+    floating: Vehicle | None = None
+    """Of a planar form: the vehicle in the water that it stands for, with its hull."""
 
     def energy(self, state: State) -> tuple[float, float]:
         """Kinetic and potential energy of a state, J."""

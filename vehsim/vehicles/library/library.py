@@ -194,8 +194,11 @@ def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
         **{key: float(data.get(key, getattr(vehicle, key))) for key in TOPS},
         "parameters": given,
     }
-    planar = None if vehicle.planar is None else replace(vehicle.planar, **settings | {"rig": _level(settings["rig"])})
-    return replace(vehicle, **settings, hull=_hull(path, vehicle, data, coefficients), planar=planar)
+    whole = replace(vehicle, **settings, hull=_hull(path, vehicle, data, coefficients), planar=None)
+    if vehicle.planar is None:
+        return whole
+    planar = replace(vehicle.planar, **settings | {"rig": _level(settings["rig"])}, floating=whole)
+    return replace(whole, planar=planar)
 
 
 def _weighed(path: Path, factory: Any, data: dict[str, Any]) -> dict[str, Any]:
