@@ -7,7 +7,7 @@ import pytest
 
 import vehsim
 from vehsim import Mark
-from vehsim.lie.quaternions import matrices
+from vehsim.lie.quaternions import matrices, tilt_of
 from vehsim.planning import retouch as retouching
 from vehsim.planning.retouch import KEPT, _clear, retouch
 from vehsim.world.ground.placing import place_on_terrain
@@ -246,3 +246,20 @@ def test_an_edit_near_obstacles_is_solved_where_the_solved_motion_is_as_near():
         take.world.clearance(each.vehicle, each.positions, each.orientations) for each in (clip, made.clip)
     )
     assert after.min() > before.min() - 0.03
+
+
+def test_a_boat_that_runs_with_its_bow_up_is_drawn_to_an_edit():
+    """Its height changes with its speed, and the ends of the window were refused as marks of two heights."""
+    boat, world = vehsim.load_vehicle("boat"), vehsim.World(water=0.0)
+    marks = [
+        Mark(frame=1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        Mark(frame=1241, position=(40, 3, 0)),
+        Mark(frame=1481, position=(70, 40, 0), velocity=(0, 0, 0)),
+    ]
+    clip = vehsim.plan(boat, world, marks).clip
+    frames, positions, rotations = bumped(clip, 1050, 1150, (0.0, 0.4, 0.0))
+    made = retouch(clip, world, frames, positions, rotations).clip.resample()
+    pitch, before = (tilt_of(each.orientations)[1] for each in (made, clip.resample()))
+    assert np.abs(made.positions[:, :2] - positions[:, :2]).max() < 0.2
+    assert np.degrees(pitch.min()) < -5 and np.degrees(np.abs(pitch - before).max()) < 2
+    assert np.abs(np.diff(made.positions[:, 2])).max() < 0.02

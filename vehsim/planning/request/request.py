@@ -290,11 +290,12 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
 def afloat(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> Sequence[Mark]:
     """The marks of a boat, at the height where it floats on calm water. Warn of a height far from it: 0 is none there.
     Raises ``InputError`` if it sinks."""
-    if vehicle.planar is None or getattr(vehicle, "hull", None) is None or getattr(world, "water", None) is None:
+    boat = vehicle if vehicle.planar is not None else vehicle.floating
+    if boat is None or boat.hull is None or getattr(world, "water", None) is None:
         return marks
     from vehsim.world.water.buoyancy import Afloat
 
-    floating = world.water.level + Afloat(vehicle, world).floating()[0] - float(vehicle.origin[2])
+    floating = world.water.level + Afloat(boat, world).floating()[0] - float(boat.origin[2])
     height = round(floating, 3) + 0.0
     for mark in marks:
         z = 0.0 if mark.position is None else float(mark.position[2])
