@@ -35,6 +35,7 @@ from vehsim.planning.request.marks import Gate
 from vehsim.planning.trim import flies
 from vehsim.rig.linkage import part_poses
 from vehsim.shot.world.obstacle_tables import with_vehicles
+from vehsim.world.water.gliding import boat_of
 
 if TYPE_CHECKING:
     from vehsim.cameras.camera import Camera
@@ -268,7 +269,7 @@ class DrawnWater:
 
 def _stirred(take: Take) -> str:
     """A hash of what moves a take's water: waves, wind and what floats."""
-    afloat = {name: clip for name, clip in take.clips.items() if getattr(clip.vehicle, "hull", None) is not None}
+    afloat = {name: clip for name, clip in take.clips.items() if boat_of(clip.vehicle) is not None}
     return replace(take, name="", clips=afloat, cameras=(), world=take.world.with_only(())).content_hash
 
 

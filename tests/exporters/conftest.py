@@ -100,6 +100,7 @@ def toy_clip(asset: Path, spin_axis: str = "Z", still: bool = False, drives: dic
         character=Character(),
         origin=np.zeros(3),
         hull=None,
+        floating=None,
         rolls=False,
         group=SE3,
     )

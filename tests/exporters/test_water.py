@@ -22,6 +22,7 @@ from vehsim.exporters.usd.scenery import water as authored
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
 from vehsim.exporters.usd.scenery.water_material import PERIOD, TILE
 from vehsim.exporters.usd.stage import StageReader
+from vehsim.exporters.web.scene import _stirred
 from vehsim.world.water.sea import sea_state, together
 from vehsim.world.water.water import Waves, wave
 from vehsim.world.world import Water, World
@@ -492,6 +493,9 @@ def test_a_boat_that_was_planned_has_a_wake_like_one_that_was_simulated(shown):
     (*_, planned), (*_, simulated) = (authored.surfaces(each, grid, frames) for each in takes)
     assert planned.foam.max() > 0.4
     assert np.abs(planned.foam - simulated.foam).mean() < 0.1 * simulated.foam.mean()
+    later = replace(plan.clip, positions=plan.clip.positions + np.array([0.0, 1.0, 0.0]))
+    moved = replace(takes[0], clips={"boat": later})
+    assert _stirred(moved) != _stirred(takes[0])  # the page draws its water again
 
 
 def test_each_wave_fades_by_its_own_length():

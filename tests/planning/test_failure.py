@@ -267,14 +267,14 @@ def test_work_after_certification_is_measured_too(monkeypatch):
     it."""
     from vehsim.planning import iterate, trajectory
 
-    now, deadlines, place = [0.0], [], trajectory.place_on_terrain
+    now, deadlines, place = [0.0], [], trajectory.placed
 
     def slowly(clip, world):
         now[0] += clip.duration
         return place(clip, world)
 
     monkeypatch.setattr("vehsim.planning.deadline.time", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr(trajectory, "place_on_terrain", slowly)
+    monkeypatch.setattr(trajectory, "placed", slowly)
     monkeypatch.setattr(iterate, "Deadline", lambda end: deadlines.append(Deadline(end)) or deadlines[-1])
     marks = [Mark(1, position=REST, heading=0, velocity=REST), Mark(73, position=(12, 1, 0), velocity=REST)]
     with warnings.catch_warnings(record=True) as heard:  # no warnings about the tyres of the initial guess

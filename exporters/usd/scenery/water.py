@@ -215,11 +215,12 @@ def _undisturbed(water: Water, grid: Grid) -> Callable[[float], Array]:
 def floating(take: Take, frames: Array) -> dict[str, Floating]:
     """The floating vehicles of a take, and their immersion on ``frames``."""
     from vehsim.world.water.buoyancy import Afloat
+    from vehsim.world.water.gliding import boat_of
 
     found: dict[str, Floating] = {}
     for name, clip in take.clips.items():
-        boat = clip.vehicle.floating or clip.vehicle
-        if boat.hull is None or not len(clip):
+        boat = boat_of(clip.vehicle)
+        if boat is None or not len(clip):
             continue
         afloat = Afloat(boat, take.world)
         height, _ = afloat.floating()

@@ -17,11 +17,18 @@ from vehsim.lie.quaternions import tilt_of, yaw_tilt
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.vehicles.definition.resistance import Running
+    from vehsim.vehicles.definition.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
 LEVEL = 1e-9
 """Pitch below which a sample counts as not placed yet, rad."""
+
+
+def boat_of(vehicle: Vehicle) -> Vehicle | None:
+    """The vehicle with the hull on which this one floats: itself, or what its planar form stands for; None: none."""
+    boat = vehicle.floating or vehicle
+    return None if boat.hull is None else boat
 
 
 def place_on_water(clip: Clip, world: Any) -> Clip:
