@@ -9,7 +9,7 @@ from hulls import box, floating
 
 import vehsim
 from vehsim import Shot
-from vehsim.lie.quaternions import rotate, tilt_of
+from vehsim.lie.quaternions import continuous, from_yaw, rotate, tilt_of
 from vehsim.world.water.buoyancy import Afloat
 from vehsim.world.water.gliding import place_on_water
 from vehsim.world.water.water import wave
@@ -128,6 +128,16 @@ def test_a_boat_is_placed_once_and_only_where_there_is_water():
     assert place_on_water(halves, World(water=0.0)) is halves
     back = replace(clip, twists=-clip.twists)
     assert place_on_water(back, World(water=0.0)) is back  # astern, a hull stays level
+
+
+def test_orientations_are_continuous_where_a_boat_that_rests_begins_to_run():
+    """A turn beyond half a turn: samples at rest keep their quaternions, which may have the other sign."""
+    clip = level(8.0)
+    yaw, ahead = np.linspace(2.0, 5.0, len(clip)), np.where(clip.times < 1.0, 0.0, clip.twists[:, 1])
+    twists = np.column_stack([clip.twists[:, 0], ahead, clip.twists[:, 2]])
+    wrapped = from_yaw((yaw + np.pi) % (2 * np.pi) - np.pi)
+    placed = place_on_water(replace(clip, twists=twists, orientations=continuous(-wrapped)), World(water=0.0))
+    assert (np.einsum("ni,ni->n", placed.orientations[1:], placed.orientations[:-1]) > 0.9).all()
 
 
 def mark_at(height, mark):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.interpolant import monotone
-from vehsim.lie.quaternions import tilt_of, yaw_tilt
+from vehsim.lie.quaternions import continuous, tilt_of, yaw_tilt
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -56,7 +56,7 @@ def place_on_water(clip: Clip, world: Any) -> Clip:
     positions = clip.positions.copy()
     positions[:, 2] = np.where(fresh, root, positions[:, 2])
     orientations = np.where(fresh[:, None], yaw_tilt(yaw, -trim, roll), clip.orientations)
-    return replace(clip, positions=positions, orientations=orientations)
+    return replace(clip, positions=positions, orientations=continuous(orientations))
 
 
 def _attitude(running: Running, ahead: Array) -> tuple[Array, Array, Array]:
