@@ -85,13 +85,23 @@ def _surface(hull: Array, spacing: float) -> Array:
     of them."""
     from scipy.spatial import ConvexHull
 
-    points = []
-    for a, b, c in hull[ConvexHull(hull).simplices]:
-        n = int(np.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b)) / spacing))
-        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-        inside = i + j <= n
-        points.append(a + np.outer(i[inside] / n, b - a) + np.outer(j[inside] / n, c - a))
-    return np.unique(np.round(np.vstack(points), 6), axis=0)
+    return np.unique(np.round(np.vstack([_filled(hull[t], spacing) for t in ConvexHull(hull).simplices]), 6), axis=0)
+
+
+def _filled(triangle: Array, spacing: float) -> Array:
+    """Points of a triangle (3, 3) in rows along its longest side: slivers need few of them."""
+    sides = np.roll(triangle, -1, axis=0) - triangle
+    lengths = np.linalg.norm(sides, axis=1)
+    k = int(np.argmax(lengths))
+    a, b, c = np.roll(triangle, -k, axis=0)
+    # at most half of the first and all of the second away from a point: within spacing / sqrt(3)
+    along, across = 0.8 * spacing, 0.4 * spacing
+    rows = int(np.ceil(np.linalg.norm(np.cross(sides[k], c - a)) / max(lengths[k], 1e-12) / across)) or 1
+    points = [c[None]]
+    for left in np.arange(1, rows + 1) / rows:
+        n = int(np.ceil(left * lengths[k] / along))
+        points.append(c + left * (a - c) + np.outer(np.linspace(0.0, left, n + 1), b - a))
+    return np.vstack(points)
 
 
 def _spread(points: Array, count: int) -> Array:
