@@ -33,6 +33,17 @@ def flight():
     return vehsim.plan(HELI, None, marks, fps=24, segments=32, character="stunt").clip
 
 
+@pytest.fixture(scope="module")
+def voyage():
+    """A boat that speeds up, turns and stops."""
+    marks = [
+        Mark(frame=1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        Mark(frame=1241, position=(40, 3, 0)),
+        Mark(frame=1481, position=(70, 40, 0), velocity=(0, 0, 0)),
+    ]
+    return vehsim.plan(vehsim.load_vehicle("boat"), vehsim.World(water=0.0), marks).clip
+
+
 def bumped(clip, first, last, by):
     """The clip's frames and poses, moved by up to ``by`` (3,) m halfway between two frames, with smooth ends."""
     whole = clip.resample()
@@ -113,6 +124,25 @@ def test_a_helicopter_stays_within_a_centimetre_where_nothing_was_touched(flight
     assert moved[untouched].max() < KEPT
     assert made.metres.max() < 0.35  # it leans into the bump, as fast as its actuators tilt the disc
     assert np.linalg.norm(executed(made.clip) - made.clip.positions[-1]) < 0.1
+
+
+@pytest.mark.parametrize(("name", "span", "by", "most"), [
+    ("flight", (1035, 1062), (0.0, 0.6, 0.3), 8.0),
+    ("voyage", (1200, 1280), (0.0, 0.4, 0.0), 0.6),
+])  # fmt: skip
+def test_motion_enters_and_leaves_a_window_without_a_jolt(name, span, by, most, request):
+    """The jerk, m/s^3, that a retouch adds within three frames of the ends: it was 16 and 1.1."""
+    clip = request.getfixturevalue(name)
+    world = vehsim.World(water=0.0) if name == "voyage" else None
+    made = retouch(clip, world, *bumped(clip, *span, by))
+    frames = np.arange(1001, clip.end_frame + 1)
+    before, after = (each.at((frames - 1001) / 24).positions for each in (clip, made.clip))
+    added = np.linalg.norm(np.diff(after - before, 3, axis=0), axis=1) * 24**3
+    ((first, last),) = made.windows
+    middles = frames[:-3] + 1.5
+    ends = (np.abs(middles - first) < 3) | (np.abs(middles - last) < 3)
+    assert added[ends].max() < most < added.max() / 3
+    assert made.kept < KEPT
 
 
 def test_a_disc_tilts_after_an_edit_as_before(flight):
@@ -212,7 +242,7 @@ def test_an_edit_near_the_end_of_a_slide_is_followed(slide):
     """On the knots of the slide, which are not on whole frames, its controls can be repeated where it is not edited."""
     frames, positions, rotations = bumped(slide, 1056, 1094, (0.0, 0.15, 0.0))
     made = retouch(slide, None, frames, positions, rotations)
-    assert made.kept <= KEPT and made.metres.max() < 0.02
+    assert made.kept <= KEPT and made.metres.max() < 0.04
 
 
 def test_knots_are_those_between_which_controls_are_linear(slide, drive):
@@ -248,15 +278,9 @@ def test_an_edit_near_obstacles_is_solved_where_the_solved_motion_is_as_near():
     assert after.min() > before.min() - 0.03
 
 
-def test_a_boat_that_runs_with_its_bow_up_is_drawn_to_an_edit():
+def test_a_boat_that_runs_with_its_bow_up_is_drawn_to_an_edit(voyage):
     """Its height changes with its speed, and the ends of the window were refused as marks of two heights."""
-    boat, world = vehsim.load_vehicle("boat"), vehsim.World(water=0.0)
-    marks = [
-        Mark(frame=1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
-        Mark(frame=1241, position=(40, 3, 0)),
-        Mark(frame=1481, position=(70, 40, 0), velocity=(0, 0, 0)),
-    ]
-    clip = vehsim.plan(boat, world, marks).clip
+    clip, world = voyage, vehsim.World(water=0.0)
     frames, positions, rotations = bumped(clip, 1050, 1150, (0.0, 0.4, 0.0))
     made = retouch(clip, world, frames, positions, rotations).clip.resample()
     pitch, before = (tilt_of(each.orientations)[1] for each in (made, clip.resample()))

@@ -11,6 +11,8 @@ import math
 import warnings
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -44,7 +46,7 @@ from vehsim.planning.trajectory import Trajectory, exported
 from vehsim.planning.trim import is_pushed
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.character import STUNT
+from vehsim.vehicles.definition.character import BRISK, STUNT
 from vehsim.vehicles.definition.joint_channels import joint_channels
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground.placing import place_on_terrain
@@ -77,8 +79,9 @@ NEAR = 0.02
 """Distance from the edit that costs one per second, m."""
 LOOSE = 1e-3
 """Weight of the attitude, relative to where it was edited, on frames of which only the position was."""
-SMOOTH = 1e-3
-"""Cost per second of controls that depart from the solved ones at a rate of one typical control per second."""
+SMOOTH = 0.05
+"""Cost per second of controls that bend away from the solved ones by a typical control per squared brisk response time
+of the vehicle. Those that merely change slowly would begin to at the ends of a window, with a jolt."""
 SAME = 1e-6
 """Difference below which two frames are one."""
 SPARE = 0.02
@@ -500,15 +503,17 @@ class _Following(Block):
         return replace(self, _window=(float(frames[0]), float(frames[-1])))
 
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
-        knots, segments = np.arange(layout.segments + 1), np.arange(layout.segments)
+        knots = np.arange(layout.segments + 1)
         lever = max(extent(transcription.vehicle) / 2, 0.5)
         near = transcription.kept(("near", self.edit.axes), lambda: _near(transcription, self.edit.axes, lever))
         place = {"target": problem.parameter("edit", 15, len(knots))}
         problem.add(near, np.vstack([layout.knot(knots), layout.control(knots)]), place)
-        controls = np.vstack([layout.control(segments), layout.control(segments + 1), layout.duration(segments)])
-        smooth = transcription.kept("smooth", lambda: _smooth(transcription))
-        changes = problem.parameter("solved controls", transcription.sizes[3], len(segments))
-        problem.add(smooth, controls, {"change": changes})
+        bends = problem.parameter("solved bends", transcription.sizes[3], len(knots))
+        ends, beside, between = knots[[0, -1]], knots[[1, -2]], knots[1:-1]
+        for at, around in ((between, [between - 1, between, between + 1]), (ends, [ends, beside])):
+            smooth = transcription.kept(("smooth", len(around)), partial(_smooth, transcription, len(around)))
+            controls = [*map(layout.control, around), layout.duration(np.maximum(at - 1, 0))]
+            problem.add(smooth, np.vstack(controls), {"bend": bends[:, at]})
         kept = self._kept(layout)
         if len(kept):
             inside = transcription.kept(("kept", self.edit.axes), lambda: _inside(transcription, self.edit.axes))
@@ -525,10 +530,10 @@ class _Following(Block):
         h = np.gradient(trajectory.seconds())
         h[[0, -1]] /= 2
         weights = weights * h[:, None]
-        scaled = solved.controls / trajectory.transcription.control_scale
+        scaled = np.pad(solved.controls / trajectory.transcription.control_scale, ((1, 1), (0, 0)), mode="edge")
         target = np.hstack([places, turns.reshape(-1, 9), weights, np.zeros((len(frames), 1))])
         kept = self._kept(layout)
-        values: dict[str, Any] = {"edit": target.T, "solved controls": np.diff(scaled, axis=0).T}
+        values: dict[str, Any] = {"edit": target.T, "solved bends": np.diff(scaled, 2, axis=0).T}
         return values | ({"kept": solved.positions[kept].T} if len(kept) else {})
 
 
@@ -543,11 +548,14 @@ def _near(transcription: Transcription, axes: int, lever: float) -> Element:
     return Element("edit", ca.vertcat(v["x"], v["c0"]), {"target": target}, f=cost / NEAR**2)
 
 
-def _smooth(transcription: Transcription) -> Element:
-    """The cost of controls (c0, c1, h) that change otherwise than the solved ones, which change by ``change``."""
-    v, change = transcription.symbols("c0", "c1", "h"), ca.SX.sym("change", transcription.sizes[3])
-    off = v["c1"] - v["c0"] - change
-    return Element("smooth", ca.vertcat(*v.values()), {"change": change}, f=SMOOTH * ca.sumsqr(off) / v["h"])
+def _smooth(transcription: Transcription, knots: int) -> Element:
+    """The cost of controls that bend otherwise than the solved ones, which bend by ``bend``: (c0, c1, c2, h) at three
+    ``knots``, or (c0, c1, h) at an end c0, beyond which they are the solved ones."""
+    time, size = transcription.vehicle.character.response.of(BRISK), transcription.sizes[3]
+    c, h, bend = [ca.SX.sym(f"c{i}", size) for i in range(knots)], ca.SX.sym("h"), ca.SX.sym("bend", size)
+    slopes = [after - before for before, after in pairwise(c)]
+    off = slopes[-1] - sum(slopes[:-1]) - bend
+    return Element("smooth", ca.vertcat(*c, h), {"bend": bend}, f=SMOOTH * time**4 * ca.sumsqr(off) / h**3)
 
 
 def _inside(transcription: Transcription, axes: int) -> Element:
