@@ -100,6 +100,28 @@ def test_a_planned_boat_floats_at_the_level_of_the_water():
         vehsim.plan(BOAT, World(water=1.7), marks=[mark_at(5.0, mark) for mark in marks], fps=24)
 
 
+@pytest.mark.parametrize(
+    ("water", "ignored"),
+    [
+        ({"current": [-2, 0, 0]}, "current"),
+        ({"wave": [{"height": 0.5, "length": 18}]}, "waves"),
+        ({"sea": {"height": 1}, "current": [1, 0, 0]}, "waves and current"),
+    ],
+)
+def test_what_a_planned_boat_ignores_of_its_water_is_told(water, ignored):
+    marks = [{"frame": 1001 + 240 * k, "position": [8 * k, 0, 0], "velocity": [0, 0, 0]} for k in (0, 1)]
+    motion = {"method": "plan", "mark": marks}
+    (problem,) = Shot.from_dict(
+        {
+            "shot": {"schema": 1, "name": "river"},
+            "world": {"water": water},
+            "vehicle": [{"name": "ferry", "asset": "boat", "motion": motion}],
+        }
+    ).check()
+    assert problem.severity == "warning" and problem.key == "vehicle[0].motion.mark"
+    assert f"planned on calm, still water, without the {ignored};" in str(problem)
+
+
 def level(speed):
     """A boat in the plane at a steady speed, as it is solved."""
     marks = [vehsim.Mark(24 * k, position=(speed * k, 2, 0), velocity=(speed, 0, 0)) for k in range(3)]

@@ -288,13 +288,19 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
 
 
 def afloat(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> Sequence[Mark]:
-    """The marks of a boat, at the height where it floats on calm water. Warn of a height far from it: 0 is none there.
-    Raises ``InputError`` if it sinks."""
+    """The marks of a boat, at the height where it floats on calm water. Warn of a height far from it: 0 is none there;
+    and of waves and currents, which do not act on plans. Raises ``InputError`` if it sinks."""
     boat = vehicle if vehicle.planar is not None else vehicle.floating
     if boat is None or boat.hull is None or getattr(world, "water", None) is None:
         return marks
     from vehsim.world.water.buoyancy import Afloat
 
+    acts = {"waves": not world.water.flat, "current": world.water.current is not None}
+    if any(acts.values()):
+        ignored = " and ".join(name for name, there in acts.items() if there)
+        message = f"the motion is planned on calm, still water, without the {ignored}"
+        remedy = "simulate the plan's controls to see their effect, or leave them out"
+        warnings.warn(Caution(Problem("mark", message, remedy)), stacklevel=4)
     floating = world.water.level + Afloat(boat, world).floating()[0] - float(boat.origin[2])
     height = round(floating, 3) + 0.0
     for mark in marks:
