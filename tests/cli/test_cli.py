@@ -253,6 +253,19 @@ def test_an_invalid_stage_is_reported_in_one_line(
     (tmp_path / "empty.usda").unlink()
 
 
+def test_validate_takes_the_stages_in_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "shot" / "layers").mkdir(parents=True)
+    files = [tmp_path / "shot" / name for name in ("a.usda", "layers/b.usda")]
+    for file in files:
+        file.write_text("#usda 1.0")  # without a default prim
+    (tmp_path / "shot" / "report.json").write_text("{}")
+    assert cli.run(["validate", "--quiet", str(tmp_path / "shot")]) == 1
+    output = capsys.readouterr().err
+    assert all(f"{file}: error" in output for file in files) and "report.json" not in output
+    for file in files:
+        file.unlink()
+
+
 @pytest.mark.parametrize("below", ["", "more/"])
 def test_out_must_be_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str], below: str) -> None:
     shot = write(tmp_path)

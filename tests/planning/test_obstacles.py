@@ -199,6 +199,24 @@ def test_a_mark_that_no_heading_clears_is_refused(car):
     assert not complaints(best + 0.1, replace(mark, gate=Gate((1, 0, 0), radius=2)))
 
 
+@pytest.mark.parametrize(
+    "place, joints, told",
+    [
+        ((-9, 0, 0), {"hitch_1": 0.0}, "its trailer_1 is in obstacle 'wall'"),
+        ((-9, 0, 0), None, "its trailer_1 is in obstacle 'wall'"),
+        ((-11.9, 0, 0), None, "its trailer_1 is only 0.50 m from obstacle 'wall'"),
+        ((0, 0, 0), None, "in obstacle 'wall'"),
+        ((-8.5, 6, 0), {"hitch_1": -0.8}, "its trailer_1 is in obstacle 'wall'"),  # only as the mark turns it
+        ((-8.5, 6, 0), {"hitch_1": 0.8}, None),
+        ((-8.5, 6, 0), None, None),
+    ],
+)
+def test_a_trailer_near_an_obstacle_is_named(place, joints, told):
+    truck, world = vehsim.load_vehicle("truck"), World(obstacles=[ob.box("wall", place, (2, 2, 4))])
+    marks = [Mark(1, position=REST, heading=0, velocity=REST, joints=joints)]
+    assert [message for _, message, _ in marks_too_near(truck, world, marks, 1.0)] == [told] * (told is not None)
+
+
 def test_a_swinging_trailer_keeps_its_clearance():
     """Around a block: the trailer, rotated about its king pin here, keeps the clearance according to shapely."""
     truck = vehsim.load_vehicle("truck")

@@ -47,13 +47,26 @@ def test_a_landing_mark_may_be_at_the_height_of_the_ground(height):
 @pytest.mark.parametrize(
     "wrong, complaint",
     [
-        ({"position": [30, 0, 1]}, "inside the ground or an obstacle; raise it"),
+        ({"position": [30, 0, 1]}, "inside the ground or an obstacle; raise it to 2.00 m, where it stands on top"),
         ({"speed": 2.0}, "the vehicle stands still at this mark; drop speed"),
         ({"tolerance": 1.0}, "drop speed, tolerance and gate"),
     ],
 )
 def test_impossible_landings_are_reported(wrong, complaint):
     assert any(complaint in f"{problem.message}; {problem.remedy}" for problem in shot(**wrong).check())
+
+
+def test_a_landing_in_the_ground_is_raised_by_its_fix():
+    """On a hill, to where it stands on the higher of its feet."""
+    world, mark = {"terrain": "hills"}, {"position": [40, 0, -3], "heading": 0, "on_ground": True}
+    data = shot(**mark).file.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    data["world"] = world
+    (problem,) = [found for found in Shot.from_dict(data).check() if found.severity == "error"]
+    assert problem.key.endswith("mark[1].position") and problem.value == [40, 0, -3]
+    ((key, place),) = problem.fixes
+    assert key == problem.key and f"{place[2]:.2f} m" in problem.remedy
+    data["vehicle"][0]["motion"]["mark"][1]["position"] = place
+    assert not [found for found in Shot.from_dict(data).check() if found.severity == "error"]
 
 
 def test_a_valid_landing_has_no_problems():

@@ -315,6 +315,18 @@ def test_a_wrong_limit_is_one_plain_message(limits: dict[str, Any], says: str) -
     assert str(problem).startswith(f"vehicle[0].motion.{says}")
 
 
+def test_a_choice_is_listed_once() -> None:
+    """Where the description of a key has its names, and where it has not."""
+    motion = {"method": "plan", "mark": [{"frame": 1, "position": [0, 0, 0]}, {"frame": 9, "position": [1, 0, 0]}]}
+    car = {"name": "car", "asset": "car", "parameters": {"surface": "mud"}, "motion": motion}
+    (problem,) = Shot.from_dict({"shot": {"schema": 1, "name": "a"}, "vehicle": [car]}).check()
+    assert problem.said == "unknown; give one of 'asphalt', 'wet asphalt', 'gravel', 'snow', 'ice'"
+    car = {"name": "car", "asset": "car", "motion": {**motion, "look": [{"at": [0, 0, 0], "axis": "q"}]}}
+    with pytest.raises(ShotError) as caught:
+        Shot.from_dict({"shot": {"schema": 1, "name": "a"}, "vehicle": [car]})
+    assert str(caught.value).count("'-y'") == 1
+
+
 def test_valid_limits_are_kept() -> None:
     limits = {"speed": 3, "joints": {"psi": [-0.5, 1], "phi": 1}}
     motion = {"method": "plan", "limits": limits, "mark": [{"frame": 1001}, {"frame": 1100}]}

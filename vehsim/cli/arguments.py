@@ -149,6 +149,23 @@ def check_delivery(names: Sequence[str], out: Path, shot: Shot) -> None:
         raise InputError("no permission to write there", "export elsewhere, or fix its permissions", file=there)
 
 
+def stages_in(paths: Sequence[Path]) -> list[Path]:
+    """The files, and those of USD in the folders, at any depth. Raises ``ShotError`` for a folder without any."""
+    from vehsim.intake.usd import SUFFIXES
+
+    found, problems = [], []
+    for path in paths:
+        inside = sorted(file for file in path.rglob("*") if file.suffix in SUFFIXES) if path.is_dir() else [path]
+        if not inside:
+            problems.append(
+                Problem("STAGE", "a folder without USD files", "give a folder that export wrote", str(path))
+            )
+        found += inside
+    if problems:
+        raise ShotError(problems)
+    return found
+
+
 def check_stages(paths: Sequence[Path]) -> None:
     """Check that the files have names that USD can open; their content is not read."""
     from vehsim.intake.usd import SUFFIXES

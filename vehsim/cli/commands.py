@@ -345,11 +345,16 @@ def manoeuvres(
 
 @app.command()
 def validate(
-    stages: Annotated[list[Path], typer.Argument(metavar="STAGE...", help="USD files.")], quiet: Quiet = False
+    stages: Annotated[
+        list[Path],
+        typer.Argument(metavar="STAGE|FOLDER...", help="USD files, or folders with such files, such as a delivery."),
+    ],
+    quiet: Quiet = False,
 ) -> None:
     """Check USD stages against the rules of OpenUSD and of vehsim."""
     from vehsim.exporters.checks.validate import validate_stage
 
+    stages = _arguments.stages_in(stages)
     _arguments.check_stages(stages)
 
     def validated(path: Path) -> bool:

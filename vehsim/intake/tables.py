@@ -185,12 +185,20 @@ def problems_of(errors: Any, root: Mapping[str, Any]) -> Iterator[Problem]:
                 tag, value = error["ctx"]["discriminator"].strip("'"), error["ctx"].get("tag")
                 message = "missing" if value is None else f"no such {tag}"
                 yield Problem(f"{key}.{tag}", message, f"give {_tags(root, place)}", value)
+            case "literal_error" if _lists(description, error["ctx"]["expected"]):
+                yield Problem(key, "unknown", f"give {description}", value)
             case kind:  # a validator's own error comes along as an object
                 context = error.get("ctx", {})
                 text = str(context.get("error") or WORDS.get(kind, error["msg"]).format_map(context))
                 bound = context.get("le", context.get("ge"))
                 fixes = () if bound is None else ((key, bound),)
                 yield Problem(key, text[0].lower() + text[1:], f"give {description}", value, fixes=fixes)
+
+
+def _lists(description: str, expected: str) -> bool:
+    """Whether a description names every text that pydantic expects."""
+    names = re.findall(r"'([^']+)'", expected)
+    return bool(names) and all(re.search(rf"[\"']{re.escape(name)}[\"']", description) for name in names)
 
 
 def locate(root: Mapping[str, Any], location: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], str, list[str]]:

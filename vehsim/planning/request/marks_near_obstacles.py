@@ -19,6 +19,7 @@ from vehsim.planning.trim import balanced, leans
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.world.ground.walls import Walls
 from vehsim.world.ground.wheels import wheels_of
+from vehsim.world.obstacles.articulated import ArticulatedPart, articulated_footprint, fixed_footprint
 from vehsim.world.obstacles.obstacles import footprint, hulls_of, vertical_reach
 from vehsim.world.obstacles.plane import Ellipse, placed
 
@@ -120,10 +121,12 @@ def marks_too_near(
         if mark.position is None:
             continue
         wanted = clearance - FINEST - leeway(mark) - float(less(np.array([mark.position], float))[0])
-        found = _flown(vehicle, world, mark, seconds, wanted) if flies else _driven(vehicle, parts, mark, seconds)
+        found = (
+            _flown(vehicle, world, mark, seconds, wanted) if flies else _driven(vehicle, parts, mark, seconds, wanted)
+        )
         if found is None or found.gap + found.spare >= wanted:
             continue
-        obstacle, gap = found.obstacle, found.gap
+        obstacle, gap, what = found.obstacle, found.gap, found.part and f"its {found.part} is "
         rock = obstacle is None or isinstance(obstacle, Walls)
         where = "rock" if rock else f"obstacle {obstacle.name!r}"
         where += " at any heading" if found.turned else ""
@@ -132,13 +135,13 @@ def marks_too_near(
             least = math.floor(100 * (gap + clearance - FINEST - wanted)) / 100
             yield (
                 i,
-                f"only {gap:.2f} m from {where}",
+                f"{what}only {gap:.2f} m from {where}",
                 f"keep the clearance of {clearance:g} m, or reduce it to {least:g}",
             )
         elif obstacle is None:
             yield i, f"the vehicle reaches {-gap:.2f} m into {where}", "move the mark out of the terrain"
         else:
-            yield i, f"in {where}", "move the mark" if rock else "move the mark or the obstacle"
+            yield i, f"{what}in {where}", "move the mark" if rock else "move the mark or the obstacle"
 
 
 def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> list[Mark]:
@@ -218,33 +221,61 @@ def _missing(vehicle: Vehicle, world: Any, mark: Any, clearance: float) -> float
     if vehicle.group.dim == 6:
         near = _flown(vehicle, world, mark, None, clearance - leeway(mark))
     else:
-        near = _driven(vehicle, parts_in_reach(vehicle, world, [mark], clearance), mark, None)
+        near = _driven(vehicle, parts_in_reach(vehicle, world, [mark], clearance), mark, None, clearance)
     return -np.inf if near is None else clearance - near.gap - leeway(mark)
 
 
 @dataclass(frozen=True)
 class _Nearest:
     """The smallest signed distance at a mark, m, and from which obstacle; without one, from rock. ``turned``: at the
-    best of all headings; ``spare``: by how much it may be larger, m, because not all headings were measured."""
+    best of all headings; ``spare``: by how much it may be larger, m, because not all headings were measured; ``part``:
+    the name of what alone is that near, such as a trailer; empty for the vehicle itself."""
 
     gap: float
     obstacle: Any
     turned: bool = False
     spare: float = 0.0
+    part: str = ""
 
 
-def _driven(vehicle: Vehicle, parts: Sequence[tuple[Any, int]], mark: Any, seconds: float | None) -> _Nearest | None:
-    """The nearest of the obstacles at a mark of a vehicle on the ground."""
+def _driven(
+    vehicle: Vehicle, parts: Sequence[tuple[Any, int]], mark: Any, seconds: float | None, wanted: float
+) -> _Nearest | None:
+    """The nearest of the obstacles at a mark of a vehicle on the ground, with its trailers straight and, where the mark
+    gives their joints, also as it gives them. ``wanted`` m: the distance that would do."""
     parts = [(obstacle, number) for obstacle, number in parts if seconds is not None or not obstacle.moves]
     if not parts:
         return None
-    outline, nose = footprint(vehicle), heading_of(mark)
+    nose, swings = heading_of(mark), articulated_footprint(vehicle)
     yaw = _HEADINGS if nose is None else np.array([nose])
     places = np.repeat(np.array([mark.position[:2]], float), len(yaw), axis=0)
-    near = clearances(parts, placed(outline, places, yaw), np.full(len(yaw), seconds or 0.0))
+
+    def gaps(outline: Array, chosen: Sequence[tuple[Any, int]], at: Any = slice(None)) -> Array:
+        return clearances(chosen, placed(outline, places[at], yaw[at]), np.full(len(yaw[at]), seconds or 0.0))
+
+    turned = [(part, outline) for part in swings if (outline := _turned(vehicle, part, mark)) is not None]
+    near, height = gaps(footprint(vehicle), parts), float(mark.position[2])
+    for part, outline in turned:
+        level = [o.bottom < height + part.top and o.top > height + part.bottom for o, _ in parts]
+        near[level] = np.minimum(near[level], gaps(outline, parts)[level])
     best = int(near.min(axis=0).argmax())
-    spare = 0.0 if nose is not None else _between(outline)
-    return _Nearest(float(near[:, best].min()), parts[int(near[:, best].argmin())][0], nose is None, spare)
+    nearest, gap, here = parts[int(near[:, best].argmin())], float(near[:, best].min()), slice(best, best + 1)
+    spare = 0.0 if nose is not None else max(map(_between, [footprint(vehicle), *(outline for _, outline in turned)]))
+    found = _Nearest(gap, nearest[0], nose is None, spare)
+    if not swings or gap >= wanted or gaps(fixed_footprint(vehicle), [nearest], here)[0, 0] < wanted:
+        return found
+    swung = [(part.name, part.outline) for part in swings] + [(part.name, outline) for part, outline in turned]
+    name, _ = min(swung, key=lambda one: gaps(one[1], [nearest], here)[0, 0])
+    return replace(found, part=name)
+
+
+def _turned(vehicle: Vehicle, part: ArticulatedPart, mark: Any) -> Array | None:
+    """The outline (k, 2) m of a part in the root's frame where a mark gives all joints that turn it; None elsewhere."""
+    given = mark.joints or {}
+    given = given if isinstance(given, Mapping) else dict(zip(vehicle.joints, given, strict=True))
+    angles = {name: np.array([given.get(name, np.nan)]) for name, _, _ in part.pivots}
+    outline = part.at(angles)[0]
+    return outline if np.isfinite(outline).all() else None
 
 
 def _flown(vehicle: Vehicle, world: Any, mark: Any, seconds: float | None, wanted: float) -> _Nearest | None:

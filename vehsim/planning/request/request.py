@@ -276,7 +276,7 @@ def put_down(mark: Mark, vehicle: Vehicle, world: Any) -> Mark:
     try:
         place = touchdown.put_down(world, vehicle, mark.position, q)
     except InputError as error:
-        raise InputError.of(error.problem.seen_from(key)) from None
+        raise InputError.of(error.problem.below(mark.name)) from None
     below = place + touchdown.feet(vehicle) @ SO3.matrix(q).T
     hollow = float(np.max(below[:, 2] - touchdown.height_below(world, below)))
     if hollow > UNEVEN:

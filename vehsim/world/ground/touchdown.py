@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vehsim.errors import InputError
+from vehsim.errors import InputError, Problem
 from vehsim.world.obstacles.obstacles import hulls_of
 
 if TYPE_CHECKING:
@@ -34,33 +34,46 @@ def put_down(world: World, vehicle: Any, position: ArrayLike, orientation: Array
 
     Exact to `TOUCH`: in each step the hulls go down by their distance, which never overshoots. If the vehicle already
     touches, or is too deep by up to `SUNK`, it starts higher by that much. Raises ``InputError`` if it starts inside
-    something or nothing is below.
+    something, with the height to which to raise it, or nothing is below.
     """
 
     def gap(place: Array) -> float:
         return float(world.clearance(vehicle, place[None], np.asarray(orientation)[None])[0])
 
-    place = np.array(position, float)
-    if gap(place) <= 0:
-        place[2] += SUNK
-        if gap(place) <= 0:
-            raise InputError("inside the ground or an obstacle", "raise it", key="position", value=np.asarray(position))
-    lowest = min(
-        [o.bottom for o in world.standing] + ([world.terrain.lower[2]] if world.terrain else []), default=np.inf
-    )
-    for _ in range(STEPS):
-        left = gap(place)
-        if left <= TOUCH:
-            return place
-        place[2] -= min(left, 1e3)
-        if place[2] < lowest - 1e3:
-            break
-    raise InputError(
-        "nothing below it to stand on",
-        "move it, or give the world a terrain",
-        key="position",
-        value=np.asarray(position),
-    )
+    ends = [(o.bottom, o.top) for o in world.standing]
+    ends += [(world.terrain.lower[2], world.terrain.upper[2])] if world.terrain else []
+    lowest, highest = min((low for low, _ in ends), default=np.inf), max((high for _, high in ends), default=-np.inf)
+
+    def lowered(place: Array) -> Array | None:
+        for _ in range(STEPS):
+            left = gap(place)
+            if left <= TOUCH:
+                return place
+            place = place - [0, 0, min(left, 1e3)]
+            if place[2] < lowest - 1e3:
+                break
+        return None
+
+    start = np.array(position, float)
+    if gap(start) <= 0:
+        start[2] += SUNK
+        if gap(start) <= 0:
+            size = float(np.ptp(np.vstack([np.zeros((1, 3)), *hulls_of(vehicle)]), axis=0).max())
+            top = lowered(np.array([*start[:2], highest + size]))
+            raise InputError.of(_inside(np.asarray(position, float), top))
+    found = lowered(start)
+    if found is None:
+        remedy = "move it, or give the world a terrain"
+        raise InputError("nothing below it to stand on", remedy, key="position", value=np.asarray(position))
+    return found
+
+
+def _inside(position: Array, top: Array | None) -> Problem:
+    """The problem of a position in something, on top of which the root would stand at ``top`` (3,) m."""
+    place = None if top is None else [*position[:2].tolist(), round(float(top[2]), 2)]
+    remedy = "raise it" if place is None else f"raise it to {place[2]:.2f} m, where it stands on top"
+    fixes = () if place is None else (("position", place),)
+    return Problem("position", "inside the ground or an obstacle", remedy, position.tolist(), fixes=fixes)
 
 
 def feet(vehicle: Any, count: int = 6) -> Array:

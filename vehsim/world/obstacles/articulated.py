@@ -31,13 +31,14 @@ class ArticulatedPart:
     """A part that turns about vertical pivots as the vehicle moves, such as a trailer, seen from above.
 
     ``outline`` (k, 2) m at rest, convex, ``bottom`` and ``top`` m; ``pivots``: channel, factor and place (2,) m,
-    parents before children. All in the rig root's frame.
+    parents before children. All in the rig root's frame. ``name``: that of the prim that the last of them turns.
     """
 
     outline: Array
     bottom: float
     top: float
     pivots: tuple[tuple[str, float, Array], ...]
+    name: str = ""
 
     @property
     def reach(self) -> float:
@@ -68,6 +69,21 @@ def articulated_footprint(vehicle: Any) -> tuple[ArticulatedPart, ...]:
         if drive.op == "rotateZ" and channel in vehicle.channels
     )
     return _read_articulated(*asset_of(vehicle), drives, footprint(vehicle).tobytes())
+
+
+def fixed_footprint(vehicle: Any) -> Array:
+    """A vehicle's hulls from above without its articulated parts, as one convex polygon (k, 2) m in the rig root's
+    frame; `footprint` without such parts or other hulls."""
+    from vehsim.rig.parts import solids
+
+    turned = {vehicle.rig.drives[name].prim for part in articulated_footprint(vehicle) for name, _, _ in part.pivots}
+    fixed = [
+        hull
+        for solid in (solids(vehicle.rig.asset, vehicle.rig.root or None) if turned else ())
+        if not any(f"{solid.path}/".startswith(f"{prim}/") for prim in turned)
+        for hull in solid.hulls
+    ]
+    return seen_from_above(np.vstack(fixed)) if fixed else footprint(vehicle)
 
 
 def carriers_of(vehicle: Any) -> tuple[str, ...]:
@@ -146,11 +162,12 @@ def _read_articulated(
         ]
         if chain and part.hulls:
             groups.setdefault(tuple(chain), []).append(np.vstack(part.hulls))
-    made = []
+    made, names = [], {channel: prim.rpartition("/")[2] for prim, channel, _, _ in drives}
     for chain, bodies in groups.items():
         points = np.vstack(bodies)
         pivots = tuple((name, float(factor), np.array(place)) for name, factor, place in chain)
-        moved = ArticulatedPart(seen_from_above(points), float(points[:, 2].min()), float(points[:, 2].max()), pivots)
+        heights, name = (float(points[:, 2].min()), float(points[:, 2].max())), names[chain[-1][0]]
+        moved = ArticulatedPart(seen_from_above(points), *heights, pivots, name)
         turned = moved.at({name: np.array([-1.0, 1.0]) for name, _, _ in pivots}).reshape(-1, 1, 2)
         if distance(turned, whole).max() > ASIDE:
             made.append(moved)
