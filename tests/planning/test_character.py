@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 
 import vehsim
 from vehsim.errors import InputError
-from vehsim.planning import Mark, Plan, planner
+from vehsim.planning import Mark, Plan, look_at, planner
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.constraints.mark_constraints import imbalance
@@ -367,3 +368,14 @@ def test_a_parked_car_is_in_balance(name: str) -> None:
     law = ca.Function("off", symbols, [off])
     assert np.abs(law(*(np.zeros(symbol.shape[0]) for symbol in symbols))).max() < 1e-9
     assert steady(vehicle, STILL).holds
+
+
+def test_a_look_that_turns_a_flight_too_fast_is_named_with_how_fast() -> None:
+    """At 12 m/s, 9 m beside the way, it asks for 12 / 9 rad/s; the message named the time between the marks only."""
+    marks = [Mark(frame, position=(x, 0, 30), velocity=(12, 0, 0)) for frame, x in ((1, 0), (61, 30), (121, 60))]
+    told = r"driven as brisk: look_at \(30, 9, 30\) turns the heading by (.*) deg/s at frame 61, 22 allowed as normal"
+    with pytest.warns(UserWarning, match=told) as caught:
+        made = vehsim.plan(HELICOPTER, marks=marks, segments=64, terms=[look_at((30, 9, 30))])
+    assert made.success
+    (said,) = (match for each in caught if (match := re.search(told, str(each.message))))
+    assert float(said.group(1)) == pytest.approx(np.degrees(12 / 9), rel=0.02)

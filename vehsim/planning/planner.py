@@ -26,6 +26,7 @@ from vehsim.planning.constraints.clearance import SLACK, Clearance, SphereCover,
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
+from vehsim.planning.explain.looks import fastest_look
 from vehsim.planning.fallbacks import (
     enough_segments,
     from_other_guesses,
@@ -284,6 +285,8 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         if near is not None and near.success:
             return near
         why = "no {} motion was found"
+    elif looks := fastest_look(made.clip, request):
+        why = looks + " as {}; look from farther away, or give later frames"
     return _remarked(made, f"; driven as {found}: {why.format(request.traits.name)}")
 
 
