@@ -264,7 +264,9 @@ def attempt(family: str, seed: int) -> Outcome:
 
 def _remedy_helps(problem: Problem, message: str) -> bool | None:
     """Whether the later frame, or the clearance, that a message names is enough; None if it names none."""
-    late = re.search(r"mark\[(\d+)\]\.frame = \d+ is too early; (?:earliest|it takes until) (\d+)", message)
+    late = re.search(
+        r"mark\[(\d+)\]\.frame = \d+ is too early; (?:use|the fastest motion found takes until) (\d+)", message
+    )
     near = re.search(r"a motion was found with clearance = ([\d.e-]+)", message)
     if late is not None:
         marks = list(problem.marks)

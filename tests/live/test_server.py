@@ -511,11 +511,11 @@ def test_what_cannot_be_met_says_why_and_can_be_undone(path):
             assert "off by" in (await page.until("undrawn"))["text"]
             await page.send(**moved("place", 8.0, 900.0))
             state = await page.until("state", lambda message: message["problems"])
-            assert not state["solved"] and "earliest" in texts(state)
+            assert not state["solved"] and "need 300 m/s" in texts(state)
             await page.send(kind="undo")
             await page.until("motion")
             state = await page.until("state", lambda message: message["solved"])
-            assert "earliest" not in texts(state)
+            assert "need 300 m/s" not in texts(state)
 
     asyncio.run(play())
 

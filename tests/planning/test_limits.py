@@ -1,5 +1,8 @@
 """Limits, looks, heights and users' constraints apply at every instant of the clip, not only at knots."""
 
+import warnings
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -12,12 +15,14 @@ from vehsim.audit.track import track_of_clip
 from vehsim.clip.interpolant import rotate, spatial
 from vehsim.errors import InputError
 from vehsim.planning import Constraint, look_at, stay
+from vehsim.planning.explain.bounds import SPEEDS, gripping
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.problem.stage import between_view
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.request import make_request
 from vehsim.requests import Ask
 from vehsim.vehicles.definition.surfaces import SURFACES
+from vehsim.world.ground.slope import relief_of
 from vehsim.world.terrain.terrain import Terrain
 
 REST = (0.0, 0.0, 0.0)
@@ -268,6 +273,75 @@ def test_rest_on_ground_that_is_too_steep_for_the_grip_is_refused(rise, refused)
     assert [str(refusal) for refusal in refusals(request)] == (
         [f"mark[{k}].position: {told}" for k in (0, 1)] if refused else []
     )
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 2.0, 15.0])
+@pytest.mark.parametrize("rise, slides", [(0.2, False), (0.22, True)])
+def test_rest_on_a_slope_where_real_tyres_slide_is_warned_of(tolerance, rise, slides):
+    """As motion beyond their grip is: without `limits.grip`, wheels without slip hold the car anywhere."""
+    car = vehsim.load_vehicle("car", {"surface": "ice"})
+    marks = [rest(1, REST, heading=0, tolerance=tolerance, hold=9), Mark(145, position=(12, 0, 0))]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        request = make_request(car, sloping((rise, 0.0)), marks, fps=24, segments=8)
+    assert not refusals(request)
+    told = "mark[0].position: tyres on ice slide on a slope of 22 %, but wheels never slip here; move it to a slope of"
+    assert [str(each.message)[: len(told)] for each in caught] == [told] * slides
+
+
+@pytest.mark.parametrize(
+    "place, tolerance, refused", [(-20, 0, True), (-20, 10, True), (-20, 22, False), (30, 0, False), (30, 50, False)]
+)
+def test_a_tolerance_may_reach_ground_on_which_tyres_hold(place, tolerance, refused):
+    """A slope of 50 % that ends at x = 0."""
+    x = np.arange(-120, 121, 2.5)
+    world = World(Terrain("edge", np.tile(0.5 * np.minimum(x, 0), (9, 1)), (x[0], -120.0), (2.5, 30.0)))
+    marks = [rest(1, (place, 0, 0), heading=0, tolerance=tolerance), Mark("free", position=(40, 0, 0))]
+    request = make_request(vehsim.load_vehicle("car"), world, marks, fps=24, segments=8, limits={"grip": 0.4})
+    assert [refusal.key for refusal in refusals(request)] == ["position"] * refused
+
+
+@pytest.mark.parametrize("grip, surface", [(0.9, "ice"), (0.5, "asphalt")])
+def test_check_knows_how_fast_tyres_can_drive(grip, surface):
+    """From rest to rest on level ground, in closed form."""
+    car, way = vehsim.load_vehicle("car", {"surface": surface}), 40.0
+    least = 2 * np.sqrt(way / (grip * SURFACES[surface].friction * 9.81)) * 24
+    for frames, refused in ((0.99 * least, True), (least, False)):
+        marks = [rest(1, REST, heading=0), rest(1 + int(np.ceil(frames)), (way, 0, 0))]
+        request = make_request(car, None, marks, fps=24, segments=8, limits={"grip": grip})
+        told = [str(refusal) for refusal in refusals(request)]
+        assert [f"more than limits.grip = {grip} on {surface} can do; use " in each for each in told] == [
+            True
+        ] * refused
+
+
+@pytest.mark.parametrize("terrain, grip", [("level", 0.3), ("slope", 0.2), ("ridge", 0.3)])
+def test_motion_at_the_limit_of_grip_is_not_refused(terrain, grip):
+    """The fastest motion, also downhill and over a ridge."""
+    world = {"level": None, "slope": sloping((-0.2, 0.0)), "ridge": ridge()}[terrain]
+    marks = [rest(1, (-30, 0, 0), heading=0), Mark("free", position=(30, 0, 0))]
+    options = {"cost": {"time": 1, "smoothness": 1e-3}, "character": "stunt", "segments": 24}
+    plan = vehsim.plan(vehsim.load_vehicle("car"), world, marks, limits={"grip": grip}, **options)
+    assert plan.success, plan.message
+    done = replace(marks[1], frame=int(plan.clip.end_frame))
+    request = make_request(plan.clip.vehicle, world, [marks[0], done], fps=24, limits={"grip": grip}, segments=24)
+    assert not refusals(request)
+
+
+def test_the_bound_of_grip_is_that_of_forces():
+    """Of random forces of the ground, as vectors in space, none within the cone of friction exceeds it."""
+    chance, grip, count = np.random.default_rng(5), 0.4, 100_000
+    relief = relief_of(ridge().terrain, np.array([(-40.0, -40.0), (40.0, 40.0)]))
+    speed, (turn, aside) = chance.uniform(0, 25, count), chance.uniform(0, 2 * np.pi, (2, count))
+    ways = np.column_stack([np.cos(turn), np.sin(turn)])
+    slopes, lifts = relief.followed(chance.uniform(-30, 30, (count, 2)), speed[:, None] * ways)
+    gain = chance.uniform(0, 25, count)[:, None] * np.column_stack([np.cos(aside), np.sin(aside)])
+    force = np.column_stack([gain, np.sum(gain * slopes, axis=1) + lifts + 9.81])
+    normal = np.column_stack([-slopes, np.ones(count)]) / np.sqrt(1 + np.sum(slopes**2, axis=1))[:, None]
+    across = np.sum(force * normal, axis=1)
+    holds = np.linalg.norm(force - across[:, None] * normal, axis=1) <= grip * across
+    share = np.linalg.norm(gain, axis=1)[holds] / np.interp(speed[holds], SPEEDS, gripping(grip, relief).gain)
+    assert 0.7 < share.max() <= 1
 
 
 def ridge():

@@ -15,6 +15,7 @@ from vehsim.errors import InputError, SolveError
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.simpson import simpson
 from vehsim.planning.problem.transcription import Transcription, transcribe
+from vehsim.planning.request.request import make_request
 from vehsim.rig.parts import read_parts
 from vehsim.world.ground.placing import can_stand, place_on_terrain
 from vehsim.world.ground.slope import Relief, on_terrain, relief_of
@@ -341,6 +342,20 @@ def test_a_car_stands_on_any_slope(grade):
     assert np.degrees(-clip.channels["pitch"][0]) == pytest.approx(np.degrees(np.arctan(grade)), abs=2.1)
 
 
+@pytest.mark.parametrize("box", [None, ((-3.0, -8.0), (9.0, 1.0)), ((4.0, 4.0), (4.0, 4.0))])
+def test_slopes_of_a_relief_are_bounded(box):
+    """By dense samples, the bends in nine directions; both bounds are of the right size."""
+    relief = relief_of(hilly().terrain, np.array([(-20.0, -10.0), (25.0, 14.0)]))
+    low, high = relief.box if box is None else np.array(box)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 61).T), axis=-1).reshape(-1, 2)
+    angle = np.linspace(0, np.pi, 9)
+    ways = np.column_stack([np.cos(angle), np.sin(angle)])
+    slopes = np.linalg.norm(relief.followed(grid, np.zeros_like(grid))[0], axis=1).max()
+    bends = max(np.abs(relief.followed(grid, np.tile(way, (len(grid), 1)))[1]).max() for way in ways)
+    slope, bend = relief.steepest() if box is None else relief.steepest(low, high)
+    assert slopes <= slope <= 2 * slopes and bends <= bend <= 4 * bends
+
+
 def cliff(height):
     """Level ground that ends at a wall at x = 10 m, half a metre thick."""
     x = np.arange(-20.0, 40.0, 0.5)
@@ -355,6 +370,8 @@ def test_a_car_does_not_stand_on_a_wall():
     ends = [Mark(1, position=(10, 0, 0), heading=0, velocity=rest), Mark(97, position=(5, 0, 0))]
     with pytest.raises(InputError, match=r"mark\[0\].position.*cannot stand there"):
         vehsim.plan(CAR, world, ends)
+    near = [replace(ends[0], tolerance=3.0), ends[1]]  # but beside it
+    make_request(CAR, world, near, fps=24, segments=8)
 
 
 def test_a_plan_across_a_wall_fails():

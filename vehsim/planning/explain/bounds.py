@@ -22,8 +22,10 @@ from vehsim.constants import GRAVITY
 from vehsim.integrators.fast.kernel import Kernel
 from vehsim.lie.quaternions import from_yaw
 from vehsim.lie.vectorized import for_rows
+from vehsim.planning.terms import SLACK
 from vehsim.vehicles import Holonomic, Vehicle
 from vehsim.vehicles.definition.mechanics import free_size, free_velocity, project
+from vehsim.world.ground.slope import Relief
 
 Array = NDArray[np.float64]
 
@@ -39,46 +41,64 @@ LEVELS = 5
 
 @dataclass(frozen=True)
 class Push:
-    """Bounds on the change of a vehicle's speed.
+    """Bounds (k,) m/s^2 on the change of a vehicle's speed at the speeds `SPEEDS` (k,) m/s.
 
-    ``gain`` m/s^2: by its controls (and wind); ``loss`` (k,) m/s^2: by controls, drag and damping together at the
-    speeds `SPEEDS` (k,) m/s.
+    ``gain``: by its controls (and wind); ``loss``: by controls, drag and damping together.
     """
 
-    gain: float
+    gain: Array
     loss: Array
+
+    @property
+    def most(self) -> float:
+        """The largest gain, m/s^2."""
+        return float(self.gain.max())
 
     def reach(self, seconds: float, top: float, leave: float, arrive: float) -> float:
         """Upper bound on the distance, m, covered at speeds up to ``top``, from at most ``leave`` to at most ``arrive``
         m/s."""
         if seconds <= 0:
             return 0.0
-        if math.isinf(self.gain):
+        if math.isinf(self.most):
             return top * seconds if math.isfinite(top) else math.inf
         t = np.linspace(0.0, seconds, 2001)
-        braked = self._braking(arrive, leave + self.gain * seconds, t)[::-1]
-        speed = np.minimum(np.minimum(leave + self.gain * t, braked), top)
+        fastest = min(leave + self.most * seconds, top)
+        braked = _changed(self.loss, arrive, fastest, t)[::-1]
+        speed = np.minimum(np.minimum(_changed(self.gain, leave, fastest, t), braked), top)
         return float(np.trapezoid(speed, t)) * (1 + 1e-6)
 
-    def _braking(self, arrive: float, fastest: float, t: Array) -> Array:
-        """The largest speeds (n,) m/s from which ``t`` (n,) s suffice to slow down to ``arrive``."""
-        if math.isinf(arrive):
-            return np.full(len(t), math.inf)
-        if np.allclose(self.loss, self.loss[0]):
-            return arrive + float(self.loss[0]) * t
-        high = min(max(fastest, arrive) + 1e-3, float(SPEEDS[-1]))
-        speed = np.linspace(arrive, max(high, arrive + 1e-3), 2001)
-        rate = 1 / np.interp(speed, SPEEDS, self.loss)
-        taken = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(speed))])
-        return np.where(t <= taken[-1], np.interp(t, taken, speed), math.inf)
+
+def _changed(rates: Array, slow: float, fastest: float, t: Array) -> Array:
+    """The largest speeds (n,) m/s that ``t`` (n,) s separate from the speed ``slow``, at ``rates`` (k,) m/s^2; inf
+    above ``fastest``."""
+    if math.isinf(slow):
+        return np.full(len(t), math.inf)
+    if np.allclose(rates, rates[0]):
+        return np.asarray(slow + float(rates[0]) * t)
+    high = min(max(fastest, slow) + 1e-3, float(SPEEDS[-1]))
+    speed = np.linspace(slow, max(high, slow + 1e-3), 2001)
+    taking = 1 / np.interp(speed, SPEEDS, rates)
+    taken = np.concatenate([[0.0], np.cumsum((taking[1:] + taking[:-1]) / 2 * np.diff(speed))])
+    return np.where(t <= taken[-1], np.interp(t, taken, speed), math.inf)
 
 
-UNBOUNDED = Push(math.inf, np.full(len(SPEEDS), math.inf))
+def uniform(gain: float, loss: float) -> Push:
+    """The same bounds, m/s^2, at all speeds."""
+    return Push(np.full(len(SPEEDS), gain), np.full(len(SPEEDS), loss))
 
 
-def limited(push: Push, most: float) -> Push:
-    """The same bounds, with accelerations limited to ``most`` m/s^2."""
-    return push if math.isinf(most) else Push(min(push.gain, most), np.minimum(push.loss, most))
+UNBOUNDED = uniform(math.inf, math.inf)
+
+
+def gripping(grip: float, relief: Relief | None) -> Push:
+    """Bounds by the ``grip``, in g, that tyres may need on a ``relief``; None: on level ground.
+
+    On a slope ``s``, under the load ``n`` g, gravity and friction change the horizontal velocity by up to ``(grip + s)
+    n g``; in a hollow the load grows with the squared speed. The tolerance of limits is added.
+    """
+    slope, bend = (0.0, 0.0) if relief is None else relief.steepest()
+    most = (1 + SLACK) * (grip + slope) * (GRAVITY + bend * SPEEDS**2)
+    return Push(most, most)
 
 
 @dataclass(frozen=True)
@@ -178,7 +198,7 @@ def strength(vehicle: Vehicle) -> float:
     ball = thrust_ball(vehicle)
     if ball is not None:
         return float(np.linalg.norm(ball.centre)) + ball.radius
-    return push_of(vehicle, (0.0, 0.0, 0.0), 0.0).gain
+    return push_of(vehicle, (0.0, 0.0, 0.0), 0.0).most
 
 
 def _largest(force: ca.Function, vehicle: Vehicle) -> float:
@@ -246,7 +266,7 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     rest = _rows(force, facing, shapes, still, controls, calm)
     if not any(laws["force"].jac_sparsity(0, k).nnz() for k in (2, 4)):  # neither drag nor damping
         gain = most * fastest * SAMPLING_FACTOR + GRAVITY * slope
-        return Push(gain, np.full(len(SPEEDS), gain))
+        return uniform(gain, gain)
     q, tiled = np.maximum(SPEEDS, 1e-6) / fastest, (len(SPEEDS), 1)
     moving = (q[:, None, None] * velocities).reshape(-1, n)
     given = (np.tile(facing, tiled), np.tile(shapes, tiled), moving, np.tile(controls, tiled), np.array(wind))
@@ -255,7 +275,7 @@ def push_of(vehicle: Vehicle, wind: tuple[float, ...], slope: float) -> Push:
     gains, losses = np.maximum(power.max(axis=1), 0.0), np.maximum(-power.min(axis=1), 0.0)
     gain = (most + gains.max()) * fastest * SAMPLING_FACTOR + GRAVITY * slope
     loss = gain + np.maximum.accumulate(losses) * fastest * SAMPLING_FACTOR
-    return Push(gain, loss)
+    return Push(np.full(len(SPEEDS), gain), loss)
 
 
 def _rows(kernel: Kernel, *inputs: Array) -> Array:

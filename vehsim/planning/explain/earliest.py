@@ -47,11 +47,11 @@ LATER = (0.02, 0.06, 0.15)
 """Shares of the duration that are added until a motion at a whole frame is found."""
 
 
-def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool] | None:
+def first_frame(request: Request, i: int, j: int, least: int) -> int | None:
     """A frame, at least ``least``, for which a motion from mark ``i`` to mark ``j`` was found; None if none was found.
 
-    The second value says whether it is the first such frame: then the fastest motion was found as well. The search is
-    in empty space, with the ground's slopes, the wind, the marks between, and the limits that always apply.
+    The search is in empty space, with the ground's slopes, the wind, the marks between, and the limits that always
+    apply. It is local: a faster motion may exist.
     """
     if request.marks[i].position is None or request.marks[j].position is None:
         return None
@@ -81,17 +81,17 @@ def first_frame(request: Request, i: int, j: int, least: int) -> tuple[int, bool
         return None
 
 
-def _found(quick: Request, request: Request, least: int) -> tuple[int, bool] | None:
+def _found(quick: Request, request: Request, least: int) -> int | None:
     paths = [np.array(leg) for leg in legs_between(quick.marks)]
     found = _first(quick, request, least, paths)
     for other in (backwards, shunting):
-        if (found is None or found[0] > least) and (driven := other(quick, paths)):
+        if (found is None or found > least) and (driven := other(quick, paths)):
             found = min(filter(None, (found, _first(quick, request, least, driven))), default=None)
     return found
 
 
-def _first(quick: Request, request: Request, least: int, paths: list[Array]) -> tuple[int, bool] | None:
-    """The first frame, and whether it is the first, along these paths."""
+def _first(quick: Request, request: Request, least: int, paths: list[Array]) -> int | None:
+    """The first frame that is found along these paths."""
     choices, transcription = [quick.marks], transcribe(aloft(request.weighed))  # the ground below rotors costs no time
     if request.weights["course"]:
         choices.insert(0, facing(quick.marks, paths, quick.aimed))
@@ -105,11 +105,11 @@ def _first(quick: Request, request: Request, least: int, paths: list[Array]) -> 
                 break
             taken = float(iterate.seconds()[-1] - iterate.seconds()[0])
             off = iterate.run_controls().final
-            settled, solved = abs(taken - before) < SETTLED * taken, iterate.success
+            settled = abs(taken - before) < SETTLED * taken
             if settled or off <= max(execution_tolerance(request), SHARE * sum(path_length(path) for path in paths)):
                 frame = _whole(run, iterate, least)
                 if frame is not None:
-                    return frame, settled or solved
+                    return frame
             before = taken
     return None
 

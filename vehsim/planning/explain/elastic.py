@@ -208,9 +208,8 @@ def _by_leg(run: Run, guess: Iterate) -> Why:
         if marks[i].hold or run.deadline.late:
             continue
         found = first_frame(request, i, j, here)
-        if found is not None and found[0] > here:
-            frame = found[0]
-            later = {k: int(marks[k].frame) + frame - here for k in known if k >= j}
+        if found is not None and found > here:
+            later = {k: int(marks[k].frame) + found - here for k in known if k >= j}
             return _earliest(run, guess, j, later)
     return Why()
 
@@ -224,14 +223,14 @@ def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> Why:
     if any(term.frames is not None for term in request.terms):  # ranges of frames cannot move
         own = marks[i].place >= 0
         where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"{marks[i].name} (an end of a range of frames)"
-        return Why(f"{where} is too early; it takes until {frames[i]} at least")
+        return Why(f"{where} is too early; the fastest motion found takes until {frames[i]}")
     first, early = int(marks[0].frame), f"{marks[i].name}.frame = {marks[i].frame} is too early"
     for margin in SLACKS:
         later = {k: math.ceil(frame + margin * (frame - first) - 1e-3) for k, frame in frames.items()}
         if not run.deadline.late and _is_met(run, guess, later):
             at = _by_name(marks, later)
             return Why(f"{early}; use {later[i]}{_then([f'{name}.frame = {at[name]}' for name in at][1:])}", at)
-    return Why(f"{early}; it takes until {frames[i]} at least")
+    return Why(f"{early}; the fastest motion found takes until {frames[i]}")
 
 
 def _by_name(marks: Sequence[Mark], frames: dict[int, int]) -> dict[str, int]:

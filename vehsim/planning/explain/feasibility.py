@@ -14,16 +14,14 @@ from vehsim.constants import GRAVITY
 from vehsim.lie import SO3
 from vehsim.planning.explain.balance import out_of_balance
 from vehsim.planning.explain.bounds import (
-    SPEEDS,
-    UNBOUNDED,
     Ball,
-    Push,
+    gripping,
     least_time,
-    limited,
     polyline,
     push_of,
     slips,
     thrust_ball,
+    uniform,
 )
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.problem.transcription import transcribe
@@ -123,17 +121,17 @@ def _sideways(request: Request, mark: Mark) -> list[Refusal]:
 def _too_steep(request: Request, mark: Mark) -> list[Refusal]:
     """A place on a slope where tyres cannot hold the vehicle at rest with the grip that is allowed."""
     grip = request.limits.get("grip")
-    if not mark.at_rest or mark.position is None or mark.tolerance or not math.isfinite(grip):
+    if not mark.at_rest or not math.isfinite(grip) or (steep := request.steepness(mark)) <= grip:
         return []
-    slopes, _ = transcribe(request.weighed).followed(np.array([mark.position]), np.zeros((1, 2)))
-    steep = float(np.linalg.norm(slopes))
-    if steep <= grip:
-        return []
+    message = f"to rest on the slope there, tyres need {steep:.3g} g; {_given_grip(request)} is {grip:.3g}"
+    raised = ", or raise limits.grip" if steep < SURFACES[request.vehicle.surface].friction else ""
+    return [Refusal(mark, "position", message, f"move it to gentler ground{raised}")]
+
+
+def _given_grip(request: Request) -> str:
+    """The limit of friction as it was given, on dry asphalt, and the surface."""
     surface = request.vehicle.surface
-    friction = SURFACES[surface].friction
-    message = f"to rest on the slope there, tyres need {steep:.3g} g; limits.grip = {grip / friction:.3g} on {surface} "
-    raised = ", or raise limits.grip" if steep < friction else ""
-    return [Refusal(mark, "position", f"{message}is {grip:.3g}", f"move it to gentler ground{raised}")]
+    return f"limits.grip = {request.limits.get('grip') / SURFACES[surface].friction:.3g} on {surface}"
 
 
 def _applies(term: Constraint, mark: Mark) -> bool:
@@ -207,9 +205,8 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         remedy = "move it nearer"
     else:
         soonest = max(math.ceil(first + held + least * fps - 1e-6), last + 1)
-        # a motion was found for this frame; otherwise it is only a lower bound
         found = first_frame(request, i, j, soonest)
-        frame, first_of_all = found or (soonest, False)
+        frame = found or soonest
         later = frame - last
         world = request.world
         blocked = world is not None and bool(request.hazards or world.obstacles)
@@ -217,8 +214,11 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
         for mark in request.marks[j:]:
             if mark.given_frame is not None and mark.place >= 0:
                 fixes.setdefault(f"{mark.name}.frame", int(mark.given_frame) + delay + later)
-        remedy = f"earliest {at}" if first_of_all else f"use {at}"
-        remedy = f"not before {at}" if found is None or blocked else remedy
+        proven = frame == soonest and not delay  # a motion that was found proves nothing about earlier frames
+        if found is None or blocked:
+            remedy = f"not before {at}" if proven else f"use {at} or later"
+        else:
+            remedy = f"earliest {at}" if proven else f"use {at}"
         if any(mark.given_frame is not None and mark.place > b.place for mark in request.marks):
             remedy += f", with all later marks moved by {delay + later} frames"
     offer = tuple(fixes.items())
@@ -247,13 +247,18 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
     def refused(text: str, t: float) -> list[tuple[str, float]]:
         return [(f"{whole:.3g} m in {max(seconds, 0.0):.3g} s, {text}", t)]
 
-    allowed = limited(UNBOUNDED, acceleration)
+    allowed = uniform(acceleration, acceleration)
     if whole > allowed.reach(seconds, top, *ends):
         least = least_time(lambda t: allowed.reach(t, top, *ends), whole)
         return refused(f"more than {acceleration:.3g} m/s^2 can do", least)
+    if math.isfinite(limits.get("grip")):
+        tyres = gripping(limits.get("grip"), transcribe(request.weighed).relief)
+        if whole > tyres.reach(seconds, top, *ends):
+            least = least_time(lambda t: tyres.reach(t, top, *ends), whole)
+            return refused(f"more than {_given_grip(request)} can do", least)
     if centre > push.reach(seconds, math.inf, *map(_size, own)):
         least = least_time(lambda t: push.reach(t, math.inf, *map(_size, own)), centre)
-        return refused(f"more than the {request.vehicle.name}'s {push.gain:.3g} m/s^2 can do", least)
+        return refused(f"more than the {request.vehicle.name}'s {push.most:.3g} m/s^2 can do", least)
     if ball is None or not spatial:
         return []
     displacement = np.subtract(b.position, a.position)  # type: ignore[arg-type]  # both have positions
@@ -272,8 +277,8 @@ def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple
 
 def _least(ball: Ball, displacement: Array, room: float, a: Mark, b: Mark) -> float:
     """A lower bound, s, on the time between two marks: with the largest acceleration all the time."""
-    most = np.full(len(SPEEDS), float(np.linalg.norm(ball.centre)) + ball.radius)
-    push, far = Push(float(most[0]), most), max(float(np.linalg.norm(displacement)) - room, 0.0)
+    most = float(np.linalg.norm(ball.centre)) + ball.radius
+    push, far = uniform(most, most), max(float(np.linalg.norm(displacement)) - room, 0.0)
     return least_time(lambda t: push.reach(t, math.inf, _pace(a), _pace(b)), far)
 
 

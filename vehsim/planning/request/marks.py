@@ -14,6 +14,11 @@ from vehsim.errors import InputError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.requests.mark_frame import FREE, Timed
 
+APART = 0.5
+"""Distance, m, of the places that stand for all where a vehicle may be at a mark."""
+MOST_STEPS = 8
+"""Largest number of them from the mark to either side."""
+
 
 @dataclass(frozen=True)
 class Gate:
@@ -164,6 +169,17 @@ def leeway(mark: Any) -> float:
     if gate is not None:
         return float(gate.radius or math.hypot(*gate.size) / 2)
     return float(mark.tolerance * math.sqrt(3))
+
+
+def around(mark: Mark) -> tuple[NDArray[np.float64], float]:
+    """Places (n, 2) m in the plane where the root may be at a mark with a position: in its box, or around its gate; and
+    how far the farthest place between them is from the nearest, m. The position itself is the first."""
+    half = mark.tolerance if mark.gate is None else leeway(mark)
+    steps = min(math.ceil(half / APART), MOST_STEPS)
+    aside = np.linspace(-half, half, 2 * steps + 1) if steps else np.zeros(1)
+    grid = np.stack(np.meshgrid(aside, aside, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid[np.argsort(np.abs(grid).max(axis=1), kind="stable")]
+    return np.asarray(mark.position, float)[:2] + grid, half / max(steps, 1) / math.sqrt(2)
 
 
 _SIZES = {"position": 3, "orientation": 4, "velocity": 3}

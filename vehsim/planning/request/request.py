@@ -20,7 +20,7 @@ from vehsim.planning.problem.solver import check_solver
 from vehsim.planning.request.character import NO_TRAITS, Traits, traits_of
 from vehsim.planning.request.landing import attitude, descent, landings
 from vehsim.planning.request.legs import closed, knots_within, mark_positions
-from vehsim.planning.request.marks import Mark, check_marks, end_of_hold, heading_of, with_breaks
+from vehsim.planning.request.marks import Mark, around, check_marks, end_of_hold, heading_of, with_breaks
 from vehsim.planning.request.marks_near_obstacles import at_level, check_marks_clear
 from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits, check_terms, cost_weights
 from vehsim.planning.trim import leans, rests_uncontrolled
@@ -30,8 +30,8 @@ from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground import touchdown
 from vehsim.world.ground.below import above_marks
 from vehsim.world.ground.levels import NEAR
-from vehsim.world.ground.placing import can_stand
-from vehsim.world.ground.slope import on_terrain
+from vehsim.world.ground.placing import can_stand, tyre_grip
+from vehsim.world.ground.slope import on_terrain, relief_under
 from vehsim.world.ground.wheels import wheels_of
 
 Array = NDArray[np.float64]
@@ -139,6 +139,17 @@ class Request:
         flies = self.vehicle.group.dim == 6
         return (above_marks if flies else on_terrain)(self.vehicle, self.world, places)
 
+    def steepness(self, mark: Mark) -> float:
+        """The slope of the ground below the root at a mark, m/m: no more than the least of all places that its
+        tolerance or gate allows; 0 without a position, on level ground, and for what does not drive."""
+        relief = None if mark.position is None else relief_under(self.weighed)
+        if relief is None:
+            return 0.0
+        places, gap = around(mark)
+        slopes, _ = relief.followed(places, np.zeros_like(places))
+        bend = relief.steepest(places.min(axis=0), places.max(axis=0))[1]
+        return max(float(np.linalg.norm(slopes, axis=1).min()) - gap * bend, 0.0)
+
     @property
     def hazards(self) -> bool:
         """Whether the vehicle flies and there is terrain or an obstacle to hit."""
@@ -234,6 +245,7 @@ def make_request(
     check_marks_clear(vehicle, world, request.marks, request.clearance, request.fps)
     check_level(vehicle, world, request.marks)
     check_standing(vehicle, world, request.marks)
+    check_held(request)
     heights = {float(np.asarray(mark.position)[2]) for mark in request.marks if mark.position is not None}
     if vehicle.group.dim == 3 and len(heights) > 1 and (world is None or world.terrain is None):
         raise InputError(
@@ -323,13 +335,40 @@ def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
         if z and abs(z - ground) > NEAR and vehicle.rig is not None and wheels_of(vehicle.rig):
             message = f"{z:.2f} m: {vehicle.name} stands on the ground, at {ground:.2f} m"
             warnings.warn(Caution(Problem(f"{mark.name}.position", message, "give that height, or 0")), stacklevel=4)
-        nose = heading_of(mark)
-        yaw = np.arange(8) * np.pi / 4 if nose is None else np.array([nose])
-        places = np.repeat(np.array([mark.position[:2]], float), len(yaw), axis=0)
-        if not can_stand(vehicle, world, places, yaw).any():
+        if not _can_stand(vehicle, world, mark):
             place = [float(x) for x in mark.position]
             message = f"{vehicle.name} cannot stand there: the ground is too steep or too rough"
             raise InputError(message, "move the mark to gentler ground", key=f"{mark.name}.position", value=place)
+
+
+def _can_stand(vehicle: Vehicle, world: Any, mark: Mark) -> bool:
+    """Whether a vehicle with wheels can stand at a mark, or somewhere that its tolerance or gate allows; without a
+    heading, at one of some."""
+    nose, places = heading_of(mark), around(mark)[0]
+    yaw = np.arange(8) * np.pi / 4 if nose is None else np.array([nose])
+    return any(
+        can_stand(vehicle, world, np.repeat(some, len(yaw), axis=0), np.tile(yaw, len(some))).any()
+        for some in (places[:1], places[1:])  # most stand at the position itself
+        if len(some)
+    )
+
+
+def check_held(request: Request) -> None:
+    """Warn of a mark at rest on ground so steep that tyres without slip would slide there, where nothing limits their
+    grip: wheels without slip hold the vehicle on any slope."""
+    most = tyre_grip(request.vehicle)
+    if math.isfinite(request.limits.get("grip")) or math.isinf(most):
+        return
+    for mark in {mark.name: mark for mark in request.marks if mark.at_rest}.values():  # a hold is two marks
+        steep = request.steepness(mark)
+        if steep > most:
+            slide = f"tyres on {request.vehicle.surface} slide on a slope of {100 * steep:.0f} %"
+            problem = Problem(
+                f"{mark.name}.position",
+                f"{slide}, but wheels never slip here",
+                f"move it to a slope of at most {100 * most:.0f} %",
+            )
+            warnings.warn(Caution(problem), stacklevel=4)
 
 
 def check_level(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:

@@ -86,7 +86,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
             f"{where}: it is too steep or too rough there", "keep to gentler ground", subject=clip.vehicle.name
         )
     needed = _tyre_force(clip, rest)
-    share = np.minimum(1.0, _grip(clip.vehicle) / np.maximum(np.hypot(*needed), 1e-9))
+    share = np.minimum(1.0, tyre_grip(clip.vehicle) * GRAVITY / np.maximum(np.hypot(*needed), 1e-9))
     held = share * needed[0], share * needed[1]
     deflection = np.zeros_like(rest)
     if any(wheel.travel for wheel in own) and len(clip) > 1:
@@ -192,9 +192,9 @@ def _tyre_force(clip: Clip, rest: Array) -> tuple[Array, Array]:
     return along + np.gradient(vx, clip.times) - turn * vy, across + np.gradient(vy, clip.times) + turn * vx
 
 
-def _grip(vehicle: Vehicle) -> float:
-    """The largest force per mass of tyres that never slip, m/s^2; infinite for those that slip."""
-    return np.inf if vehicle.rolling is not None else GRIP * SURFACES[vehicle.surface].friction * GRAVITY
+def tyre_grip(vehicle: Vehicle) -> float:
+    """The largest force of tyres that never slip over their load; infinite for those that slip."""
+    return np.inf if vehicle.rolling is not None else GRIP * SURFACES[vehicle.surface].friction
 
 
 def _own_attitude(clip: Clip) -> Array:
@@ -208,7 +208,7 @@ def _own_attitude(clip: Clip) -> Array:
 def _warn_strain(clip: Clip, force: Array, travels: dict[str, Array]) -> None:
     """Warn if tyres, or else springs, exceed their limits. ``force`` (n,) of tyres per mass, m/s^2."""
     name, travel = max(travels.items(), key=lambda item: np.abs(item[1]).max(), default=("", np.zeros(len(clip))))
-    if force.max() > _grip(clip.vehicle):
+    if force.max() > tyre_grip(clip.vehicle) * GRAVITY:
         k = int(force.argmax())
         most = f"{force[k] / GRAVITY:.1f} g at frame {clip.frames[k]:.0f}"
         message = f"{most}: more than the grip of tyres, but wheels never slip here; "

@@ -52,6 +52,12 @@ def on_terrain(vehicle: Vehicle, world: Any, places: ArrayLike | None = None) ->
     return found
 
 
+def relief_under(vehicle: Vehicle) -> Relief | None:
+    """The relief that carries a vehicle's weight; None: it stands on level ground, or does not drive."""
+    weight = getattr(vehicle, "potential_energy", None)
+    return weight.relief if isinstance(weight, Weight) else None
+
+
 def box_around(lower: Array, upper: Array, places: ArrayLike | None) -> Array:
     """Lower and upper corner (2, 2) m of the region around ``places`` (n, 2 or more) m where heights are resolved, to
     whole multiples of `ROOM`, within given corners (2,) m."""
@@ -166,6 +172,19 @@ class Relief:
         found = ca.Function("followed", [at, velocity, cell], laws).map(len(xy))
         slopes, lifts = found(xy.T, velocities.T, self.cells(len(xy))(xy.T))
         return np.asarray(slopes).T, np.asarray(lifts).ravel()
+
+    def steepest(self, low: Any = (-np.inf, -np.inf), high: Any = (np.inf, np.inf)) -> tuple[float, float]:
+        """Upper bounds on the slope, m/m, and on its change, 1/m, between corners ``low`` and ``high`` (2,) m, or
+        everywhere: derivatives of a spline are averages of the differences of its coefficients."""
+        counts = np.array(self.coefficients.shape) - 3
+        ends = [np.clip((np.asarray(end, float) - self.lower) / self.spacing, 0, counts) for end in (low, high)]
+        first, last = np.minimum(np.floor(ends[0]), counts - 1).astype(int), np.ceil(ends[1]).astype(int)
+        i, j = (slice(a, max(b, a + 1) + 3) for a, b in zip(first, last, strict=True))
+        part, (dx, dy) = self.coefficients[i, j], self.spacing
+        along = [np.abs(np.diff(part, axis=axis)).max() / step for axis, step in ((0, dx), (1, dy))]
+        xx, yy = (np.abs(np.diff(part, 2, axis=axis)).max() / step**2 for axis, step in ((0, dx), (1, dy)))
+        xy = np.abs(np.diff(np.diff(part, axis=0), axis=1)).max() / (dx * dy)
+        return float(np.hypot(*along)), float(np.linalg.norm([[xx, xy], [xy, yy]], 2))
 
     @property
     def box(self) -> Array:
