@@ -112,6 +112,26 @@ def test_the_tilted_disc_keeps_off_obstacles(heli):
         assert found[k] == pytest.approx(manager.min_distance_single(slab), abs=1e-4)
 
 
+def test_the_arms_of_a_rider_who_twists_keep_off_obstacles():
+    """Beside a beam at the height of the arms, the distance is that of trimesh's collision library for a torso that is
+    turned about the hips."""
+    board, angles = vehsim.load_vehicle("snakeboard"), np.linspace(-1.2, 1.2, 7)
+    beam = ob.box("beam", (0, 1.0, 1.0), (6, 1, 1), 0)
+    at, turns = np.zeros((len(angles), 3)), np.tile([1.0, 0, 0, 0], (len(angles), 1))
+    found = World(obstacles=[beam]).clearance(board, at, turns, channels={"hips": angles})
+    for distance, angle in zip(found, angles, strict=True):
+        manager, twist = trimesh.collision.CollisionManager(), Rotation.from_euler("z", angle)
+        for solid in solids(board.rig.asset):
+            hips = solid.T_rp[:3, 3]
+            for hull in solid.hulls:
+                there = twist.apply(hull - hips) + hips if solid.path.startswith("torso") else hull
+                manager.add_object(str(len(manager._objs)), trimesh.convex.convex_hull(there))
+        assert distance == pytest.approx(
+            manager.min_distance_single(trimesh.convex.convex_hull(beam.hulls[0])), abs=1e-4
+        )
+    assert np.ptp(found) > 0.1
+
+
 def test_certificates_see_a_disc_that_tilts_between_samples(heli):
     """A disc that sways while the machine hovers below a slab: two poses a segment are enough to find its nearest."""
     marks = [

@@ -21,9 +21,9 @@ from vehsim.world.obstacles.plane import distance
 
 Array = NDArray[np.float64]
 
-ASIDE = 0.3
+ASIDE = 0.2
 """Threshold, m per radian, of how far a part moves out of the footprint when it turns. Below it, the part counts in its
-rest pose: a steered wheel. Above it, it is measured in its actual pose: a trailer."""
+rest pose: a steered wheel (0.05). Above it, it is measured in its actual pose: arms of a rider (0.28), a trailer."""
 
 
 @dataclass(frozen=True)
