@@ -193,6 +193,53 @@ def test_camera_sees_its_target_past_obstacles(rig, motion):
     assert jerk.max() <= JERK * 14.0
 
 
+def from_garage():
+    """It leaves a garage, open ahead of it."""
+    walls = [((0, 3), (8, 0.4, 3)), ((0, -3), (8, 0.4, 3)), ((-4, 0), (0.4, 6, 3))]
+    t = np.clip(np.arange(300) / FPS - 2, 0, None)
+    x = np.where(t < 4, t**2, 8 * t - 16)
+    return np.stack([x, 0 * x, 0 * x], 1), 0 * x, [((0, 0, 3), (8, 6, 0.4)), *(((*at, 0), size) for at, size in walls)]
+
+
+def around_wall():
+    """It turns back round the end of a wall, lower than the camera can climb."""
+    along = np.arange(480) * 6.0 / FPS
+    yaw = np.clip((along - 40) / 5, 0, np.pi)
+    arc = np.stack([40 + 5 * np.sin(yaw), 5 - 5 * np.cos(yaw), 0 * yaw], 1)
+    arc[:, 0] += np.minimum(along - 40, 0) - np.maximum(along - 40 - 5 * np.pi, 0)
+    return arc, yaw, [((20, 5, 0), (36, 4, 4))]
+
+
+@pytest.mark.parametrize("drive", [from_garage, around_wall])
+def test_a_chase_camera_soon_comes_down_behind_an_obstacle(drive):
+    """It looked steeply down for three to five seconds after its usual place had a clear view again."""
+    positions, yaw, boxes = drive()
+    clip, frames = clip_along(positions, yaw), (1001, 1000 + len(positions))
+    world = World("flat", obstacles=[box(f"b{k}", *where) for k, where in enumerate(boxes)])
+    camera, usual = (solve_camera(CameraRig(), {"cube": clip}, w, frames, ASPECT) for w in (world, World("flat")))
+    aims = positions + UP
+
+    def steepness(of):
+        away = of.positions - aims
+        return np.degrees(np.arctan2(away[:, 2], np.linalg.norm(away[:, :2], axis=1)))
+
+    def inside(points, more=0.0):
+        lower = [np.array(centre) - np.array(size) * (0.5, 0.5, 0) for centre, size in boxes]
+        return sum(
+            ((points > low - more) & (points < low + size + more)).all(axis=-1)
+            for low, (_, size) in zip(lower, boxes, strict=True)
+        )
+
+    hidden = inside(usual.positions + np.linspace(0, 1, 200)[:, None, None] * (aims - usual.positions)).any(axis=0)
+    free = int(np.flatnonzero(hidden).max()) + 1
+    steeper = steepness(camera) - steepness(usual)
+    assert steeper[:free].max() > 20, "it does climb"
+    assert steeper[free + 2 * FPS :].max() < 5
+    assert not inside(camera.positions, 0.5).any()
+    jerk = np.linalg.norm(np.diff(camera.positions, 3, axis=0), axis=1) * FPS**3
+    assert jerk.max() <= JERK * np.linalg.norm(camera.positions - aims, axis=1).mean()
+
+
 def test_an_obstacle_outside_the_view_does_not_move_the_camera():
     far = World(obstacles=[box("block", (0.0, 300.0, 24.0), (5.0, 5.0, 9.0))])
     for rig in ("chase", "follow", "dolly", "static"):

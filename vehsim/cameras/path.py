@@ -43,6 +43,13 @@ BURIED = 10.0
 """Weight of a camera inside the rock of a terrain with overhangs, relative to its distance."""
 ROUNDABOUT = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 0.5]], float)
 """Places around a camera that ought to be free too, in units of its margin."""
+CHANGE = np.array([0.10, 0.12, 0.10])
+"""Deviations (turn, scale, lift) whose change within a quarter second costs 1."""
+HOME = 0.3
+"""Additional weight of deviations, in units of `CHANGE`, of a camera that stays behind its target among obstacles."""
+CLIMB = 1.2
+"""Half the time in which a camera climbs over an obstacle, s, and in which it comes down again. The jerk of the largest
+raise is then about the largest that a camera may have."""
 JUMP, LEAP = np.radians(40.0), 1e5
 """Largest turn around the target in a quarter second among rock, and the cost of a larger one."""
 CRAMPED = 0.3
@@ -74,9 +81,13 @@ def steer(
     departure = (
         ((ASIDE if behind else 1.0) * choices[:, 0]) ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
     )
+    if behind and _standing(world):
+        # without this, it is cheaper to keep a small deviation for seconds than to give it up: right among ridges,
+        # which follow each other, but not behind a roof
+        departure += HOME * (np.abs(choices - (0.0, 1.0, 0.0)) / CHANGE).sum(axis=1)
     # among rock, a way round the target leads through every angle, each with its own cost
     jump = JUMP if rocky else np.inf
-    chosen = _cheapest(hidden / reach * 400.0 + departure, choices / (0.10, 0.12, 0.10), jump / 0.10)
+    chosen = _cheapest(hidden / reach * 400.0 + departure, choices / CHANGE, jump / CHANGE[0])
     path = np.array([np.interp(np.arange(count), keys, choices[chosen, k]) for k in range(3)])
     path = smooth(path.T, 0.35 * fps)
     calm = smooth(aims, 0.5 * fps)
@@ -96,8 +107,8 @@ def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: 
     need = need.max(axis=1)
     need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
     raised = np.full(len(need), need.max()) if still else envelope(need, fps)
-    if not still and _standing(world):  # blocks have steeper sides than the ground: start earlier
-        raised = raised + envelope(_over_obstacles(positions, aims, world, margin), fps, 0.8)
+    if not still and _standing(world):
+        raised = raised + _held(_over_obstacles(positions, aims, world, margin), _arch(CLIMB * fps))
     return positions + raised[:, None] * (0.0, 0.0, 1.0)
 
 
@@ -129,23 +140,41 @@ def smooth(values: Array, sigma: float) -> Array:
         return np.array(values, float)
     before = 2 * values[:1] - values[pad:0:-1]
     after = 2 * values[-1:] - values[-2 : -pad - 2 : -1]
-    return _blurred(np.concatenate([before, values, after]), sigma, 4.0)[pad : pad + len(values)]
+    return _blurred(np.concatenate([before, values, after]), _bell(sigma, 4.0))[pad : pad + len(values)]
 
 
-def envelope(values: Array, fps: float, ahead: float = 0.4) -> Array:
-    """A smooth curve (n,) that is nowhere below ``values``; it starts to rise three times ``ahead`` s before them."""
-    sigma = ahead * fps
-    reach = int(3 * sigma + 0.5)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, mode="edge"), 2 * reach + 1)
-    return _blurred(around.max(axis=1), sigma, 3.0)
+def envelope(values: Array, fps: float) -> Array:
+    """A smooth curve (n,) that is nowhere below ``values``; most of its rise is in the two seconds before them."""
+    return _held(values, _bell(0.4 * fps, 3.0))
 
 
-def _blurred(values: Array, sigma: float, cut: float) -> Array:
-    """Weighted mean with a Gaussian of ``sigma`` samples, truncated at ``cut`` times that, along the first axis."""
-    reach = int(cut * sigma + 0.5)  # in numpy only: scipy's filters take half a second to load
-    bell = np.exp(-((np.arange(-reach, reach + 1) / sigma) ** 2) / 2)
+def _held(values: Array, kernel: Array) -> Array:
+    """The largest of ``values`` (n,) around each sample, then the ``kernel``'s mean: smooth, and nowhere below
+    ``values``."""
+    reach = len(kernel) // 2
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, mode="edge"), len(kernel))
+    return _blurred(around.max(axis=1), kernel)
+
+
+def _bell(sigma: float, cut: float) -> Array:
+    """Weights (2k + 1,) of a Gaussian of ``sigma`` samples, truncated at ``cut`` times that."""
+    reach = int(cut * sigma + 0.5)
+    weights = np.exp(-((np.arange(-reach, reach + 1) / sigma) ** 2) / 2)
+    return np.asarray(weights / weights.sum())
+
+
+def _arch(reach: float) -> Array:
+    """Weights (2k + 1,) of a raised cosine of ``reach`` samples: of bells with the same jerk, a narrow one."""
+    half = int(reach)
+    weights = 1 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))
+    return np.asarray(weights / weights.sum())
+
+
+def _blurred(values: Array, kernel: Array) -> Array:
+    """Mean with the weights ``kernel`` (2k + 1,), along the first axis."""
+    reach = len(kernel) // 2  # in numpy only: scipy's filters take half a second to load
     rows = np.pad(values.reshape(len(values), -1), ((reach, reach), (0, 0)), mode="edge").T
-    found = [np.convolve(row, bell / bell.sum(), mode="valid") for row in rows]
+    found = [np.convolve(row, kernel, mode="valid") for row in rows]
     return np.column_stack(found).reshape(values.shape)
 
 
