@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -559,3 +560,50 @@ def test_frames_without_room_do_not_move_the_whole_camera_away():
     back = np.where(np.arange(100) < 10, 2.0, 1.0)
     assert framing._rescale(np.full(100, 0.2) / np.sqrt(back), back, 0.2) == pytest.approx(1.0)
     assert framing._rescale(np.full(100, 0.2) * back, np.ones(100), 0.2) == pytest.approx(0.4 / framing.FILL_RANGE[1])
+
+
+def pitched(degrees, height=20.0):
+    """It flies along X with its nose up, more and more."""
+    level = clip_along(np.stack([15 * T, 0 * T, height + 0 * T], 1), 0.0)
+    turns = Rotation.from_euler("Y", -np.radians(degrees) * T[:, None] / T[-1]).as_quat(scalar_first=True)
+    return replace(level, orientations=turns)
+
+
+def warned(rig, clips, world):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        solve_camera(rig, clips, world, (1001, 1121), ASPECT)
+    return [str(w.message) for w in caught]
+
+
+def test_a_camera_that_shows_only_the_sky_is_named():
+    """From 17 degrees on, the lower edge of the picture is a degree below the horizon or higher."""
+    rig, clips = CameraRig(name="nose", rig="first_person"), {"cube": pitched(34)}
+    (says,) = warned(rig, clips, World("flat"))
+    edge = np.degrees(np.arctan(36 / ASPECT / 2 / 35)) - 1.0
+    frames = int((34 * T / T[-1] > edge).sum())
+    assert f"camera 'nose' shows only the sky in {frames} of 121 frames, first in {1122 - frames};" in says
+    (again,) = warned(rig, clips, World(water=0.0))
+    assert again == says
+    assert not warned(rig, clips, World()), "there is nothing else to show"
+    assert not warned(replace(rig, framing=(0.0, -0.9)), {"cube": pitched(-20)}, World("flat"))
+    (tilted,) = warned(replace(rig, framing=(0.0, 0.5)), clips, World("flat"))
+    assert int(tilted.split(" frames")[0].split()[-3]) < frames, "the remedy helps"
+
+
+def test_a_camera_that_looks_up_at_something_is_not_warned_of(hills):
+    up, cube = CameraRig(rig="first_person"), pitched(34)
+    ahead = clip_along(cube.positions + np.stack([30 + 0 * T, 0 * T, 30 * np.tan(np.radians(34 * T / T[-1]))], 1), 0.0)
+    assert not warned(up, {"cube": cube, "ahead": ahead}, World("flat"))
+    tower = World("flat", obstacles=[box("tower", (140.0, 0.0, 0.0), (10.0, 10.0, 120.0))])
+    assert not warned(up, {"cube": cube}, tower)
+    low = CameraRig(rig="static", position=(30.0, -10.0, 2.0))
+    assert not warned(low, {"cube": cube}, World("flat")), "it shows its target"
+    # a slope ahead of a camera that looks up
+    slope = World(Terrain("slope", np.tile(np.linspace(0, 300, 61), (61, 1)), (0.0, -150.0), (5.0, 5.0)))
+    still = replace(pitched(0), positions=np.tile([100.0, 0.0, 105.0], (121, 1)))
+    turned = Rotation.from_euler("Y", np.full((121, 1), -np.radians(30))).as_quat(scalar_first=True)
+    assert not warned(up, {"cube": replace(still, orientations=turned)}, slope)
+    assert warned(replace(up, azimuth=180.0), {"cube": replace(still, orientations=turned)}, slope) == []
+    (says,) = warned(replace(up, azimuth=0.0), {"cube": replace(still, orientations=turned)}, World("flat"))
+    assert "in 121 of 121 frames" in says

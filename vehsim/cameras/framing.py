@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,7 @@ from vehsim.cameras.path import (
     steer,
 )
 from vehsim.cameras.rigs import RIGS, Move
+from vehsim.cameras.view import only_sky
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import continuous, from_vectors, matrices, quaternions
 from vehsim.runtime.cache import Stamp, kept_arrays, stamp
@@ -107,6 +109,18 @@ def solve_camera(
             f"{'stays there' if np.allclose(positions[0], rig.position) else 'was raised'}; give it another place",
             stacklevel=2,
         )
+    elif around.terrain is not None or getattr(world, "water", None) is not None:
+        moving = (_subject(clip, every) for clip in (*clips.values(), *(m.clip for m in getattr(world, "moving", ()))))
+        seen = ((s.matrices, s.outline) for s in moving)
+        standing = ((np.eye(4)[None], hull) for obstacle in around.standing for hull in obstacle.hulls)
+        half = np.array(aperture) / (2 * rig.lens_mm)
+        if (sky := only_sky(positions, rotations, half, around, chain(standing, seen))).any():
+            warnings.warn(
+                f"camera {rig.name!r} shows only the sky in {sky.sum()} of {len(every)} frames, first in "
+                f"{every[sky.argmax()]:g}; tilt it down with framing = [0, 0.5], or give it a shorter lens_mm or "
+                "another rig",
+                stacklevel=2,
+            )
     return Camera(rig.name, every, positions, continuous(quaternions(rotations)), rig.lens_mm, aperture)
 
 
