@@ -10,7 +10,8 @@ import pytest
 
 import vehsim
 from vehsim import Mark
-from vehsim.planning import Cost
+from vehsim.lie.quaternions import yaw_of
+from vehsim.planning import Cost, look_at
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.constraints.easing import Easing
 from vehsim.planning.problem.transcription import transcribe
@@ -169,6 +170,18 @@ def test_a_slide_rest_and_stunts_leave_the_slip_free(more, character, expected):
 def test_an_attitude_rest_and_stunts_leave_a_flight_free(more, character, expected):
     first = Mark(1, position=(0, 0, 30), **more)
     assert easing(first, "helicopter", character=character).steady == [0] * expected
+
+
+def test_a_nose_on_a_place_turns_at_the_ends_the_way_that_the_place_passes():
+    """It turned the other way there, at 3.5 and 2.4 deg/s, within the tolerance of the look."""
+    marks = [Mark(frame, position=(x, 0, 30), velocity=(12, 0, 0)) for frame, x in ((1001, 0), (1121, 60))]
+    helicopter, place = vehsim.load_vehicle("helicopter"), (30, 15, 30)
+    plan = vehsim.plan(helicopter, None, marks, segments=64, terms=[look_at(place)])
+    assert plan.success and plan.character == "normal"
+    clip = plan.clip.resample()
+    passes = np.arctan2(*(np.array(place) - clip.positions)[:, 1::-1].T)
+    turns, asked = (24 * np.degrees(np.diff(np.unwrap(each)))[[0, -1]] for each in (yaw_of(clip.orientations), passes))
+    assert 2 < turns.min() < turns.max() < asked.min()
 
 
 def test_a_loop_begins_nowhere():

@@ -32,7 +32,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
     steady = [] if traits.name == STUNT or request.loop else steady_marks(request.vehicle, marks)
     asks_turns = bool(costs_of(HazardView, weights)) or any(isinstance(term, Cost) for term in request.terms)
-    blocks.append(Easing(weights, traits, marks, steady, straight=not asks_turns))
+    blocks.append(Easing(weights, traits, marks, steady, straight=not asks_turns, looks=aims))
     blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):

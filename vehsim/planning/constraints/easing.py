@@ -22,8 +22,9 @@ from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.character import Traits, control_rates, eased
+from vehsim.planning.request.legs import knots_within
 from vehsim.planning.request.marks import Mark, heading_of
-from vehsim.planning.terms import COSTS, BendView, costs_of, weight_of
+from vehsim.planning.terms import COSTS, BendView, Constraint, costs_of, weight_of
 from vehsim.planning.trajectory import Trajectory
 from vehsim.planning.trim import flies, is_pushed
 from vehsim.vehicles import Vehicle
@@ -37,6 +38,8 @@ turn lacks. A degree costs 0.03; in flight, the effort of a second costs one."""
 ASKED = 0.02
 """Rate of turn, rad/s, above which the price of turning there grows only slowly: its marks ask for that turn. Below it,
 the turn would save effort of the tail rotor, a thousandth, and lead up to a metre aside on a straight way."""
+NEAREST = 1.0
+"""Distance from a place, m, below which the direction to it does not count: overhead it turns at any rate."""
 STEADY = 10.0
 """Price of x^2 where what slides begins to move; x: accelerations sideways, m/s^2, and in yaw, rad/s^2."""
 STRAIGHT = np.radians(5.0)
@@ -63,6 +66,8 @@ class Easing(Block):
     """The marks at which the motion begins or ends steadily, see `steady_marks`."""
     straight: bool = True
     """Whether a flight begins and ends straight unless its marks ask for a turn; no other cost asks for one."""
+    looks: Sequence[Constraint] = ()
+    """Those constraints that point the heading at a place: where they hold, it turns as the place passes by."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,7 +77,18 @@ class Easing(Block):
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         ground = tuple(mark.on_ground for mark in self.marks)
         ends, rates = tuple(eased(self.traits, self.marks)), self._rates(transcription).tobytes()
-        return "easing", self.names, ends, ground, rates, tuple(self.steady), self.straight
+        looked = tuple(self._looked(layout))
+        return "easing", self.names, ends, ground, rates, tuple(self.steady), self.straight, looked
+
+    def _looked(self, layout: Layout) -> dict[int, Array]:
+        """The places (3,) m at which a heading points at steady marks, by the number of the mark."""
+        found = {}
+        for i in self.steady:
+            for look in self.looks:
+                first, last = knots_within(self.marks, layout.mark_knots, look.frames)
+                if look.aim is not None and first <= layout.mark_knots[i] <= last:
+                    found[i] = np.asarray(look.aim[0])
+        return found
 
     def _rates(self, transcription: Transcription) -> Array:
         """The largest rates of the controls over their scale, 1/s."""
@@ -98,16 +114,21 @@ class Easing(Block):
             if not (asks_balance(transcription.vehicle, self.marks[i]) or held):
                 element = balance_element(transcription, self.traits.price, self.marks[i].on_ground)
                 problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
+        looked = self._looked(layout)
         for i in self.steady:
-            knot = layout.mark_knots[i]
-            if flies(transcription.vehicle):
-                element = coordinated_element(transcription, self.traits.price, self.straight)
-            else:
+            knot, given = layout.mark_knots[i], {}
+            if not flies(transcription.vehicle):
                 element = steady_element(transcription, self.traits.price)
-            problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]))
+            elif i in looked:
+                element = coordinated_element(transcription, self.traits.price, self.straight, looks=True)
+                given = {"place": problem.parameter(f"look at mark[{i}]", 3)}
+            else:
+                element = coordinated_element(transcription, self.traits.price, self.straight)
+            problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), given)
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
-        return {weight_of(name): self.weights[name] for name in self.names}
+        looked = {f"look at mark[{i}]": place for i, place in self._looked(trajectory.layout).items()}
+        return {weight_of(name): self.weights[name] for name in self.names} | looked
 
 
 def bend_element(transcription: Transcription, names: tuple[str, ...]) -> Element:
@@ -190,11 +211,12 @@ def steady_element(transcription: Transcription, price: float) -> Element:
     return transcription.kept(("steady", price), make)
 
 
-def coordinated_element(transcription: Transcription, price: float, straight: bool) -> Element:
+def coordinated_element(transcription: Transcription, price: float, straight: bool, looks: bool = False) -> Element:
     """The cost of rolling, pitching, accelerating sideways in body axes, and if ``straight`` of turning slowly: (x, c).
 
     The first three vanish in a steady turn, which is about a vertical axis. A flight would otherwise begin with a bank
-    of ten degrees and the roll rate that ends it, which take no effort.
+    of ten degrees and the roll rate that ends it, which take no effort. ``looks``: its heading points at ``place``
+    (3,) m, within a tolerance; it costs to turn otherwise than the direction to that place does.
     """
 
     def make() -> Element:
@@ -206,10 +228,17 @@ def coordinated_element(transcription: Transcription, price: float, straight: bo
         twist, change = (ca.substitute(each, t, zero) for each in (twist, ca.jacobian(twist, t)))
         turning = SO3.matrix(group.pose(g)[3:7]) @ twist[0:3]
         off = ca.vertcat(turning[0:2], change[4] / GRAVITY)
-        wander = ASKED**2 * ca.log1p((turning[2] / ASKED) ** 2) if straight else 0.0
-        return _at_knot(transcription, v, price * COORDINATED * (ca.sumsqr(off) + wander))
+        place = ca.SX.sym("place", 3)
+        if looks:
+            ahead, velocity = place - group.pose(g)[0:3], SO3.matrix(group.pose(g)[3:7]) @ twist[3:6]
+            passes = ca.cross(velocity, ahead)[2] / (ca.sumsqr(ahead[0:2]) + NEAREST**2)
+            wander = (turning[2] - passes) ** 2
+        else:
+            wander = ASKED**2 * ca.log1p((turning[2] / ASKED) ** 2) if straight else 0.0
+        f = price * COORDINATED * (ca.sumsqr(off) + wander)
+        return _at_knot(transcription, v, f, {"place": place} if looks else None)
 
-    return transcription.kept(("coordinated", price, straight), make)
+    return transcription.kept(("coordinated", price, straight, looks), make)
 
 
 def _motion(transcription: Transcription, v: dict[str, Any]) -> tuple[Any, Any]:
@@ -222,10 +251,13 @@ def _motion(transcription: Transcription, v: dict[str, Any]) -> tuple[Any, Any]:
     return z[: vehicle.group.dim], rates[: vehicle.group.dim]
 
 
-def _at_knot(transcription: Transcription, v: dict[str, Any], f: Any) -> Element:
-    """An element with the cost ``f`` of a knot (x, c0), which depends on what is below it."""
+def _at_knot(
+    transcription: Transcription, v: dict[str, Any], f: Any, given: Mapping[str, Any] | None = None
+) -> Element:
+    """An element with the cost ``f`` of a knot (x, c0), which depends on what is below it, and on parameters
+    ``given``."""
     space = transcription.space(transcription.split(v["x"])[0])
-    return Element("steady", ca.vertcat(*v.values()), transcription.air, f=f, space=space)
+    return Element("steady", ca.vertcat(*v.values()), {**(given or {}), **transcription.air}, f=f, space=space)
 
 
 def _abrupt(values: Any) -> Any:
