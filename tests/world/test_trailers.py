@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import vehsim
 from vehsim.rig.parts import read_parts, solids
+from vehsim.world.ground.placing import place_on_terrain
 from vehsim.world.obstacles.obstacles import box, moving
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
@@ -56,6 +57,29 @@ def gaps(clip, world, ops, frames):
             points = points @ clip.matrices()[k][:3, :3].T + clip.matrices()[k][:3, 3]
             found.append((points[:, 2] - world.height(points[:, :2])).min())
     return np.array(found)
+
+
+@pytest.mark.parametrize("name", ["car", "truck"])
+def test_springs_end_a_loop_as_they_begin_it(name):
+    """They began in equilibrium and ended as the lap left them."""
+    vehicle, turn = vehsim.load_vehicle(name), np.linspace(0, 2 * np.pi, 601)
+    clip = driven(vehicle, World("flat"), seconds=12.0).at(np.linspace(0, 12, 601))
+    yaw = Rotation.from_rotvec(np.outer(turn + np.pi / 2, [0, 0, 1])).as_quat(scalar_first=True)
+    twists = np.tile([np.pi / 6, 20 * np.pi / 6, 0.0], (601, 1))
+    ring = np.column_stack([20 * np.cos(turn), 20 * np.sin(turn), 0 * turn])
+    spun = {channel: values for channel, values in clip.channels.items() if channel.startswith("roll_")}
+    still = {joint: 0 * turn for joint in vehicle.joints}
+    lap = replace(clip, positions=ring, orientations=yaw, twists=twists, channels=still | spun)
+    closed, once = (place_on_terrain(lap, hilly(), loop=loop) for loop in (True, False))
+    sprung = [n for n in closed.channels if n in ("heave", "pitch", "roll") or n.startswith(("hitch_p", "hitch_r"))]
+    assert len(sprung) == 3 + 2 * (name == "truck")
+    assert max(abs(once.channels[channel][-1] - once.channels[channel][0]) for channel in sprung) > 1e-2
+    for channel in sprung:
+        values, before = closed.channels[channel], once.channels[channel]
+        assert values[-1] == pytest.approx(values[0], abs=1e-4) and np.ptp(values) > 0.02
+        step = np.diff(values)
+        assert abs(step[0] - step[-1]) < 2 * np.abs(np.diff(step)).max()
+        assert values[300:] == pytest.approx(before[300:], abs=1e-2)  # what began otherwise fades
 
 
 def test_every_wheel_of_a_truck_on_hills_touches_the_ground():

@@ -114,4 +114,4 @@ def drawn(trajectory: Trajectory, world: Any) -> Clip:
 
 def exported(clip: Clip, request: Request) -> Clip:
     """A clip of the given vehicle, with its wheels on the terrain or its hull on the water."""
-    return placed(replace(clip, vehicle=request.vehicle), request.world)
+    return placed(replace(clip, vehicle=request.vehicle), request.world, loop=request.loop)

@@ -11,6 +11,6 @@ if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
 
 
-def placed(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False) -> Clip:
+def placed(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False, loop: bool = False) -> Clip:
     """The clip on ``world``'s terrain and water: `place_on_terrain` and `place_on_water`."""
-    return place_on_water(place_on_terrain(clip, world, samples, coarse), world)
+    return place_on_water(place_on_terrain(clip, world, samples, coarse, loop), world)

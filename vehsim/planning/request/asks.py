@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import casadi as ca
 import numpy as np
@@ -49,7 +48,7 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
     asks += _actuators(request.vehicle, first, last)
     asks += _ranges(request, first, last)
     if request.loop:
-        asks += _loop(first, last, {"planar": planar})
+        asks += _loop(first, last, planar)
     if request.world is not None and (
         request.hazards or request.world.obstacles or request.world.walls(math.inf) is not None
     ):
@@ -186,7 +185,8 @@ def _relief(request: Request) -> list[list[float]] | None:
     return None if relief is None else relief.box.tolist()
 
 
-def _loop(first: float, last: float, wanted: Mapping[str, Any]) -> Iterator[Ask]:
-    yield Ask("loop (position)", "closure", first, last, wanted, upper=EXACT, unit="m")
-    yield Ask("loop (attitude)", "closure_angle", first, last, wanted, **ANGLE)
-    yield Ask("loop (velocity)", "closure_velocity", first, last, wanted, upper=EXACT, unit="m/s")
+def _loop(first: float, last: float, planar: bool) -> Iterator[Ask]:
+    pose = {"planar": False}  # the ground and the water carry it to the same pose in space
+    yield Ask("loop (position)", "closure", first, last, pose, upper=EXACT, unit="m")
+    yield Ask("loop (attitude)", "closure_angle", first, last, pose, **ANGLE)
+    yield Ask("loop (velocity)", "closure_velocity", first, last, {"planar": planar}, upper=EXACT, unit="m/s")

@@ -50,7 +50,7 @@ LARGEST_TRAVEL = 0.12
 """Travel beyond which a wheel leaves its arch, m."""
 
 
-def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False) -> Clip:
+def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False, loop: bool = False) -> Clip:
     """The clip of a vehicle with wheels on ``world``'s terrain: height, pitch and roll of its root, travel of wheels.
 
     A vehicle with springs of its own (`Definition.attitude`) also dives and leans on level ground without a terrain.
@@ -60,7 +60,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     ``hitch_roll*`` of trailers, as ``pitch`` and ``roll``; wheels turn by the length of the slope. The planar motion
     does not change. The body leans as far as the grip of tyres can make it, also where the motion needs more, which is
     warned about. Other clips, and clips without terrain, are returned unchanged. ``samples``: at least so many per
-    frame; ``coarse``: see `Wheel.coarse`.
+    frame; ``coarse``: see `Wheel.coarse`; ``loop``: springs end as they begin.
     Raises ``SolveError`` where the vehicle cannot stand on the ground, such as on a wall of rock.
     """
     terrain = None if world is None else world.terrain
@@ -90,12 +90,12 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
     held = share * needed[0], share * needed[1]
     deflection = np.zeros_like(rest)
     if any(wheel.travel for wheel in own) and len(clip) > 1:
-        deflection = deflections(clip.times, rest, lean_of(*held, own, rig.suspension), rig.suspension)
+        deflection = deflections(clip.times, rest, lean_of(*held, own, rig.suspension), rig.suspension, loop)
         deflection += _own_attitude(clip)
     z, pitch, roll = (rest + deflection).T
     there = np.column_stack([clip.positions[:, :2], z]), yaw_tilt(yaw, pitch, roll)
     channels = {**clip.channels, "heave": deflection[:, 0], "pitch": pitch, "roll": roll}
-    channels |= tilted(rig, terrain, channels, clip.times, *there)
+    channels |= tilted(rig, terrain, channels, clip.times, *there, loop)
     channels |= _wheel_channels(rig, terrain, wheels, channels, *there, SEEN if coarse else TOUCHING)
     travels = {wheel.travel: channels[wheel.travel] for wheel in wheels if wheel.travel}
     _warn_strain(clip, np.hypot(*needed), travels)

@@ -17,26 +17,36 @@ LARGEST_LEAN = 0.2
 """Largest pitch or roll by acceleration, rad."""
 
 
-def deflections(times: Array, rest: Array, lean: Array, springs: Suspension) -> Array:
-    """Coordinates (n, k) of a body relative to its ``rest`` (n, k) on the wheels, from equilibrium at the start.
+def deflections(times: Array, rest: Array, lean: Array, springs: Suspension, loop: bool = False) -> Array:
+    """Coordinates (n, k) of a body relative to its ``rest`` (n, k) on the wheels, from equilibrium at the start; in a
+    ``loop``, they end as they begin.
 
     A damped oscillator for each, ``d'' + 2 zeta omega d' + omega^2 d = omega^2 lean - rest''``, stepped exactly with
     ``rest`` linear between samples. ``lean`` (n, k): the equilibrium under the current acceleration and gravity.
     """
     omega, zeta = 2 * np.pi * springs.frequency, springs.damping
     load = omega**2 * lean
-    d, rate = load[0] / omega**2, np.zeros(rest.shape[1])
-    path = [d]
     steps = np.diff(times)
     slopes = np.diff(rest, axis=0) / steps[:, None]
-    kicks = np.diff(slopes, axis=0, prepend=slopes[:1])
-    for h, kick, a, b in zip(steps.tolist(), kicks, load[:-1], load[1:], strict=True):
-        flow = _oscillator(round(h, 12), omega, zeta)
-        level = (a + b) / (2 * omega**2)
-        offset, rate = d - level, rate - kick
-        d, rate = level + flow[0][0] * offset + flow[0][1] * rate, flow[1][0] * offset + flow[1][1] * rate
-        path.append(d)
-    return np.array(path)
+    kicks = np.diff(slopes, axis=0, prepend=slopes[-1:] if loop else slopes[:1])
+
+    def swung(d: Array, rate: Array) -> tuple[Array, Array]:
+        path = [d]
+        for h, kick, a, b in zip(steps.tolist(), kicks, load[:-1], load[1:], strict=True):
+            flow = _oscillator(round(h, 12), omega, zeta)
+            level = (a + b) / (2 * omega**2)
+            offset, rate = d - level, rate - kick
+            d, rate = level + flow[0][0] * offset + flow[0][1] * rate, flow[1][0] * offset + flow[1][1] * rate
+            path.append(d)
+        return np.array(path), rate
+
+    start = np.array([load[0] / omega**2, np.zeros(rest.shape[1])])
+    path, rate = swung(*start)
+    if not loop:
+        return path
+    # what a lap leaves of a change at its start
+    lap = np.array(_oscillator(round(float(times[-1] - times[0]), 12), omega, zeta))
+    return swung(*start + np.linalg.solve(np.eye(2) - lap, [path[-1], rate] - start))[0]
 
 
 @lru_cache(maxsize=256)

@@ -67,14 +67,15 @@ def follows_ground(vehicle: Vehicle) -> bool:
 
 
 def tilted(
-    rig: Rig, terrain: Terrain, channels: Channels, times: Array, positions: Array, orientations: Array
+    rig: Rig, terrain: Terrain, channels: Channels, times: Array, positions: Array, orientations: Array, loop: bool
 ) -> dict[str, Array]:
-    """The tilt channels (n,) rad of all trailers on ``terrain``, at poses of the root (n, 3) m, (n, 4)."""
+    """The tilt channels (n,) rad of all trailers on ``terrain``, at poses of the root (n, 3) m, (n, 4); in a ``loop``,
+    they end as they begin."""
     made: dict[str, Array] = {}
     for trailer in trailers_of(rig):
         if trailer.wheels:
             known = {**channels, **made}
-            made |= _tilted(rig, trailer, terrain, known, times, positions, orientations)
+            made |= _tilted(rig, trailer, terrain, known, times, positions, orientations, loop)
     return made
 
 
@@ -86,6 +87,7 @@ def _tilted(
     times: Array,
     positions: Array,
     orientations: Array,
+    loop: bool,
 ) -> dict[str, Array]:
     """The tilt channels of one trailer behind others."""
     columns = [column for _, column in trailer.tilts]
@@ -106,7 +108,7 @@ def _tilted(
     if any(wheel.travel for wheel in trailer.wheels) and len(times) > 2:
         rest = np.column_stack([np.zeros(len(times)), *tilt_of(placed(tilt)[1])[1:]])
         lean = lean_of(*_tyre_force(times, trailer, *placed(tilt)), trailer.wheels, rig.suspension)
-        tilt = tilt + deflections(times, rest[:, columns], lean[:, columns], rig.suspension)
+        tilt = tilt + deflections(times, rest[:, columns], lean[:, columns], rig.suspension, loop)
     return {name: tilt[:, k] for k, (name, _) in enumerate(trailer.tilts)}
 
 
