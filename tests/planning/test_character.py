@@ -172,6 +172,21 @@ def test_marks_on_hills_that_need_a_stunt_are_recognised_in_few_iterations(monke
     assert sum(one.iterations for one in runs) < 200
 
 
+def test_a_lap_that_is_too_fast_for_a_character_exceeds_it_as_little_as_it_can() -> None:
+    """A stunt costs nothing at constant speed: it went at 55 m/s, with 10 g."""
+    marks = [
+        Mark(frame=1001, position=(0, 0, 0), heading=20),
+        Mark(frame=1121, position=(40, 25, 0)),
+        Mark(frame=1241, position=(10, 50, 0)),
+        Mark(frame=1361),
+    ]
+    with pytest.warns(UserWarning, match="beyond normal: character.acceleration"):
+        plan = vehsim.plan(CAR, None, marks, loop=True)
+    assert plan.success and "driven as" not in plan.message
+    way = plan.clip.at(np.arange(0, plan.duration, 1 / 24)).positions
+    assert np.linalg.norm(np.diff(way, 2, axis=0), axis=1).max() * 24**2 < 15
+
+
 def test_comparison_with_a_stunt_changes_no_motion_that_suits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner, "AT_ONCE", Patience(0))
     usual = drive("normal")

@@ -80,6 +80,9 @@ TOPS = {
 TOO_HARD = 1.5
 """Ratio of a motion to a limit of its character above which the next harder character is the better choice: easing in
 and out of rest would take time that the rest of the motion needs, which then is harder than a stunt."""
+WORSE = 3.0
+"""Ratio by which a motion in a harder character may exceed the limits of the request's more than one that exceeds them
+as little as possible."""
 QUICK = Patience(60, near=1e-2)
 """That of a solve in a character, after which it is compared with a stunt."""
 AS_GOOD = 1.01
@@ -271,6 +274,9 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
             again = _unless_too_hard(replace(request, traits=harder), progress, guess, beyond)
         if again is not None and not again.success:
             break
+        if again is not None and not _is_better(again, beyond, request):
+            traits = request.traits
+            break
         made, traits = again, harder
     if made is None:  # no harder motion was found
         made = _in_one_character(replace(request, traits=traits), progress, guess)
@@ -295,6 +301,14 @@ def _beyond_too(beyond: Sequence[Iterate], traits: Traits) -> bool:
     that its own motion would do so too."""
     strains = [_strain(each, replace(each.request, traits=traits)) for each in beyond]
     return min(strains, default=0.0) > TOO_HARD**2 / (1 + ROOM)
+
+
+def _is_better(made: Plan, beyond: Sequence[Iterate], request: Request) -> bool:
+    """Whether a plan in a harder character is better than motions ``beyond`` the request's, which exceed it as little
+    as possible: without limits, a car on a lap without a stop costs nothing at any speed."""
+    assert made._iterate is not None
+    least = min((_strain(each, request) for each in beyond), default=math.inf)
+    return _strain(made._iterate, request) < WORSE * least
 
 
 def _unless_too_hard(request: Request, progress: Progress | None, guess: Any, beyond: list[Iterate]) -> Plan | None:
