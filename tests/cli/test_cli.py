@@ -217,13 +217,16 @@ def test_unexpected_errors_are_short(monkeypatch: pytest.MonkeyPatch, capsys: py
         cli.run(["doctor"])
 
 
-@pytest.mark.parametrize("text, frames", [("1001-1100x10", list(range(1001, 1101, 10))), ("7", [7])])
+@pytest.mark.parametrize(
+    "text, frames",
+    [("1001-1100x10", list(range(1001, 1101, 10))), ("7", [7]), ("-40--38", [-40, -39, -38]), ("-2-1", [-2, -1, 0, 1])],
+)
 def test_frame_ranges(text: str, frames: list[int]) -> None:
     assert frames_in(text) == frames
 
 
 @pytest.mark.parametrize(
-    "option", [["--frames", "9-1"], ["--frames", "a"], ["--frames", "-5"], ["--size", "100000x10"], ["--size", "960"]]
+    "option", [["--frames", "9-1"], ["--frames", "a"], ["--frames", "5-"], ["--size", "100000x10"], ["--size", "960"]]
 )
 def test_render_refuses_frames_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str], option: list[str]) -> None:
     stage = tmp_path / "stage.usda"

@@ -204,10 +204,10 @@ def bounds(control: Any) -> str:
 
 
 def frames_in(text: str | None) -> list[int] | None:
-    """The frames of ``1001-1100x10``; None means all."""
+    """The frames of ``1001-1100x10``, or ``-40--10``; None means all."""
     if text is None:
         return None
-    found = re.fullmatch(r"(\d{1,8})(?:-(\d{1,8}))?(?:x(\d{1,8}))?", text.strip())
+    found = re.fullmatch(r"(-?\d{1,8})(?:-(-?\d{1,8}))?(?:x(\d{1,8}))?", text.strip())
     wanted = range(0)
     if found and int(found[3] or 1) > 0:
         wanted = range(int(found[1]), int(found[2] or found[1]) + 1, int(found[3] or 1))
