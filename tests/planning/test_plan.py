@@ -372,7 +372,9 @@ def test_elements_agree_with_whole_problem_derivatives(helicopter):
     two = Element("b", y[:2], {"q": p[:1]}, g=y[0] * y[1] ** 2)
     problem = NonlinearProgram(9)
     own = problem.parameter("own", 2, 5)
-    problem.add(one, rng.permuted(np.tile(np.arange(9), (5, 1)), axis=1)[:, :3].T, {"p": own})
+    columns = rng.permuted(np.tile(np.arange(9), (5, 1)), axis=1)[:, :3].T
+    columns[1, ::2] = columns[0, ::2]  # it may use a variable twice
+    problem.add(one, columns, {"p": own})
     problem.add(two, rng.permuted(np.tile(np.arange(9), (4, 1)), axis=1)[:, :2].T)
     assert problem.parameters == 11
     functions = problem.functions()

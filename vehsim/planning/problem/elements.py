@@ -466,8 +466,9 @@ class NonlinearProgram:
             if not len(i):
                 continue
             entries = use.mapped(function)(*arguments, ca.repmat(lam_f, 1, use.count), multipliers)
-            values.append(ca.vec(entries))
             a, b = use.variables[i].T.ravel(), use.variables[j].T.ravel()
+            twice = (a == b) & np.tile(i != j, use.count)  # an element may use a variable twice, such as a duration
+            values.append(ca.DM(1.0 + twice) * ca.vec(entries) if twice.any() else ca.vec(entries))
             rows.append(np.minimum(a, b))
             columns.append(np.maximum(a, b))
         upper = _scatter(np.concatenate(rows), np.concatenate(columns), values, (self.size, self.size))
