@@ -29,9 +29,10 @@ Array = NDArray[np.float64]
 SHADOW_MAP = 3072
 SHADOW_REACH = (5.0, 115.0)
 """Half the width of what the shadow map covers, m, minimum and maximum; it moves with the camera."""
-SHADOW_DEPTH = 4_000.0
-"""Far plane in units of the shadow map's reach. MuJoCo biases shadows by four steps of the depth range, here by 1.5
-texels: less, and slopes under grazing light cast jagged shadows on themselves; more, and vehicles seem to float."""
+SHADOW_DEPTH, GRAZING = (400.0, 4_000.0), 700.0
+"""Far plane in units of the shadow map's reach, minimum and maximum, and per tangent of the angle of light on standing
+things. MuJoCo biases shadows by four steps of the depth range, at most by 1.5 texels: less, and slopes under grazing
+light cast jagged shadows on themselves; more, and vehicles seem to float, and rounding specks far ground."""
 INSTANTS = 241
 """Number of instants at which it is found where casters are during a shot: paths between them must hardly bulge."""
 SUPERSAMPLE = 4
@@ -67,6 +68,7 @@ class StageRenderer:
         self._shadow_axes = _across(self._light.direction)
         self._casters = spans_of_casters(stage, self._shadow_axes, self._bounds[0])
         self._reach = shadow_reach(stage, self._casters)
+        self._shadow_depth = self._reach * shadow_depth(stage, self._light.direction)
         self._haze_end = haze_end(stage)
         self._shades = Shades(stage)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
@@ -190,7 +192,7 @@ class StageRenderer:
 
     def _drawn(self, clip: tuple[float, float]) -> tuple[float, float]:
         """Near and far plane for drawing, m, if the stage requests ``clip``."""
-        return clip[0], max(clip[1], SHADOW_DEPTH * self._reach)
+        return clip[0], max(clip[1], self._shadow_depth)
 
     def _place_camera(self, name: str, frame: float) -> None:
         pose, half_width, shift, clip = self.stage.camera(name, frame)
@@ -484,6 +486,26 @@ def shadow_reach(stage: StageReader, casters: Array) -> float:
     whole = float((casters[1] - casters[0]).max()) / 2 + 1.0
     usual = _usual_distance(stage)
     return float(np.clip(whole if usual is None else min(4.0 * usual, whole), *SHADOW_REACH))
+
+
+def shadow_depth(stage: StageReader, direction: Array) -> float:
+    """The far plane, in units of the shadow map's reach, for light along a unit ``direction`` (3,): of the standing
+    faces that it falls on, all but a twentieth by area have no larger tangent of its angle to their normals."""
+    normals = [np.zeros((0, 3))]
+    for shape in stage.shapes:
+        if not shape.group:
+            a, b, c = shape.points[shape.faces].swapaxes(0, 1)
+            normals.append(np.cross(b - a, c - a) / 2)
+    every = np.vstack(normals)
+    areas, towards = np.linalg.norm(every, axis=1), -every @ direction
+    lit = towards > 1e-3 * areas
+    if not lit.any():
+        return SHADOW_DEPTH[1]
+    areas, towards = areas[lit], towards[lit]
+    tangents = np.sqrt(np.maximum(areas**2 - towards**2, 0.0)) / towards
+    order = np.argsort(tangents)
+    share = np.cumsum(areas[order]) / areas.sum()
+    return float(np.clip(GRAZING * tangents[order][np.searchsorted(share, 0.95)], *SHADOW_DEPTH))
 
 
 def _usual_distance(stage: StageReader) -> float | None:

@@ -23,6 +23,7 @@ from vehsim.exporters.usd.metadata import author_points
 from vehsim.exporters.usd.scenery.finishes import FINISHES, coordinates
 from vehsim.exporters.usd.scenery.finishes import picture as tile_of
 from vehsim.exporters.usd.stage import StageReader
+from vehsim.shot import Shot
 from vehsim.world.world import World
 
 SIZE = (320, 180)
@@ -540,6 +541,33 @@ def test_shadows_are_as_fine_for_a_vehicle_at_rest(scope, new_stage):
     assert not stage.groups
     reach = shadow_reach(stage, spans_of_casters(stage, AXES, bounds_of(stage)[0]))
     assert reach == (pytest.approx(40.0) if scope == "vehicles" else SHADOW_REACH[1])
+
+
+def test_a_high_sun_casts_no_specks_on_far_hills(tmp_path):
+    """Rounding did: five times as many pixels were in the shadow of nothing."""
+    from scipy.ndimage import median_filter
+
+    marks = [
+        {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [0, 0, 0]},
+        {"frame": 1097, "position": [20, 3, 0]},
+    ]
+    shot = Shot.from_dict(
+        {
+            "shot": {"schema": 1, "name": "noon"},
+            "world": {"terrain": "hills"},
+            "render": {"mood": "noon"},
+            "vehicle": [{"name": "car", "asset": "car", "motion": {"method": "plan", "mark": marks}}],
+            "camera": [{"name": "chase", "rig": "chase", "target": "car"}],
+        }
+    )
+    stage = StageReader(shot.solve().export(tmp_path) / "noon.usda")
+    pictures = []
+    for shadows in (True, False):
+        with StageRenderer(stage, (640, 360), shadows, samples=1) as renderer:
+            pictures.append(renderer.render("chase", 1060).mean(axis=2))
+    shade = pictures[0] < 0.75 * pictures[1]
+    assert shade.sum() > 1000  # the car's own
+    assert (shade & ~median_filter(shade, 7)).sum() < 0.2 * shade.sum()  # at its edges; it was 0.39
 
 
 def test_the_shadow_map_covers_no_more_than_what_casts_shadows(new_stage):
