@@ -63,7 +63,7 @@ WRONG = [
     (("mass = 1350.0", "mass = { a = 1 }"), r"physics.mass = {'a': 1}: not a number; give"),
     (("mass = 1350.0", f"mass = {'9' * 400}"), r"physics.mass: a whole number of more than 64 bits"),
     (('op = "rotateY"', 'op = "rotateY"\npivot = [nan, 0, 0]'), r"channels.roll_rl.pivot = .*: neither a place nor"),
-    (('op = "rotateY"', "op = 3"), r"channels.roll_rl.op = 3: it should be 'rotateX'"),
+    (('op = "rotateY"', "op = 3"), r"channels.roll_rl.op = 3: unknown; give \"rotateX\""),
     (('op = "rotateY"', 'op = "rotateY"\nfactor = inf'), r"channels.roll_rl.factor = inf: not a finite number"),
     (("frequency = 1.5", "frequency = 0"), r"suspension.frequency = 0: it should be greater than 0"),
     (("[suspension]", "suspension = 3\n[suspensions]"), r"suspension|suspensions"),
