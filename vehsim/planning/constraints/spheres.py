@@ -32,7 +32,7 @@ def sphere_cover(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, Array]:
     if vehicle.rig is None:
         return np.zeros((1, 3)), np.zeros(1)
     hulls = hulls_of(vehicle)
-    centres, radii = kept_arrays("cover", [*hulls, np.array([_SPACING, count])], lambda: _covering(hulls, count))
+    centres, radii = kept_arrays("cover-2", [*hulls, np.array([_SPACING, count])], lambda: _covering(hulls, count))
     return centres, radii
 
 
@@ -42,7 +42,7 @@ def surface_by_sphere(vehicle: Vehicle, count: int = SPHERES) -> tuple[Array, ND
     and the first point of each sphere (k,)."""
     centres, _ = sphere_cover(vehicle, count)
     hulls = hulls_of(vehicle)
-    points, first = kept_arrays("surface", [*hulls, centres, np.array([_FINE])], lambda: _by_sphere(hulls, centres))
+    points, first = kept_arrays("surface-2", [*hulls, centres, np.array([_FINE])], lambda: _by_sphere(hulls, centres))
     return points, first.astype(np.intp)
 
 
