@@ -269,9 +269,9 @@ def test_work_after_certification_is_measured_too(monkeypatch):
 
     now, deadlines, place = [0.0], [], trajectory.placed
 
-    def slowly(clip, world):
+    def slowly(clip, world, **options):
         now[0] += clip.duration
-        return place(clip, world)
+        return place(clip, world, **options)
 
     monkeypatch.setattr("vehsim.planning.deadline.time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(trajectory, "placed", slowly)

@@ -275,8 +275,10 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         if again is not None and not again.success:
             break
         if again is not None and not _is_better(again, beyond, request):
-            traits = request.traits
-            break
+            softer = _in_one_character(request, progress, guess)
+            assert softer._iterate is not None
+            if softer.success and not _is_better(again, [softer._iterate], request):
+                return softer
         made, traits = again, harder
     if made is None:  # no harder motion was found
         made = _in_one_character(replace(request, traits=traits), progress, guess)
