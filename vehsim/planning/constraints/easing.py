@@ -117,13 +117,11 @@ class Easing(Block):
         looked = self._looked(layout)
         for i in self.steady:
             knot, given = layout.mark_knots[i], {}
-            if not flies(transcription.vehicle):
-                element = steady_element(transcription, self.traits.price)
-            elif i in looked:
-                element = coordinated_element(transcription, self.traits.price, self.straight, looks=True)
-                given = {"place": problem.parameter(f"look at mark[{i}]", 3)}
+            if flies(transcription.vehicle):
+                element = coordinated_element(transcription, self.traits.price, self.straight, i in looked)
+                given = {"place": problem.parameter(f"look at mark[{i}]", 3)} if i in looked else {}
             else:
-                element = coordinated_element(transcription, self.traits.price, self.straight)
+                element = steady_element(transcription, self.traits.price)
             problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), given)
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:

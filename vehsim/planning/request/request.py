@@ -17,6 +17,7 @@ from vehsim.clip.samples import frame_rate
 from vehsim.errors import Caution, InputError, OutsideTerrain, Problem
 from vehsim.lie import SO3
 from vehsim.planning.problem.solver import check_solver
+from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.character import NO_TRAITS, Traits, traits_of
 from vehsim.planning.request.landing import attitude, descent, landings
 from vehsim.planning.request.legs import closed, knots_within, mark_positions
@@ -31,7 +32,7 @@ from vehsim.world.ground import touchdown
 from vehsim.world.ground.below import above_marks
 from vehsim.world.ground.levels import NEAR
 from vehsim.world.ground.placing import can_stand, tyre_grip
-from vehsim.world.ground.slope import on_terrain, relief_under
+from vehsim.world.ground.slope import on_terrain
 from vehsim.world.ground.wheels import wheels_of
 
 Array = NDArray[np.float64]
@@ -142,7 +143,7 @@ class Request:
     def steepness(self, mark: Mark) -> float:
         """The slope of the ground below the root at a mark, m/m: no more than the least of all places that its
         tolerance or gate allows; 0 without a position, on level ground, and for what does not drive."""
-        relief = None if mark.position is None else relief_under(self.weighed)
+        relief = None if mark.position is None else transcribe(self.weighed).relief
         if relief is None:
             return 0.0
         places, gap = around(mark)

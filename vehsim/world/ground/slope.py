@@ -52,12 +52,6 @@ def on_terrain(vehicle: Vehicle, world: Any, places: ArrayLike | None = None) ->
     return found
 
 
-def relief_under(vehicle: Vehicle) -> Relief | None:
-    """The relief that carries a vehicle's weight; None: it stands on level ground, or does not drive."""
-    weight = getattr(vehicle, "potential_energy", None)
-    return weight.relief if isinstance(weight, Weight) else None
-
-
 def box_around(lower: Array, upper: Array, places: ArrayLike | None) -> Array:
     """Lower and upper corner (2, 2) m of the region around ``places`` (n, 2 or more) m where heights are resolved, to
     whole multiples of `ROOM`, within given corners (2,) m."""
