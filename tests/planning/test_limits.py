@@ -289,6 +289,39 @@ def test_rest_on_a_slope_where_real_tyres_slide_is_warned_of(tolerance, rise, sl
     assert [str(each.message)[: len(told)] for each in caught] == [told] * slides
 
 
+@pytest.mark.parametrize("name", ["drift_car", "rally_car"])
+@pytest.mark.parametrize("rise, slides", [(0.21, False), (0.36, True)])
+def test_rest_on_a_slope_where_slipping_tyres_slide_is_warned_of_at_once(name, rise, slides):
+    """It planned for a minute before it failed."""
+    car = vehsim.load_vehicle(name, {"surface": "ice"})
+    marks = [rest(1, REST, heading=0), Mark(145, position=(12, 0, 0))]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        make_request(car, sloping((rise, 0.0)), marks, fps=24, segments=8)
+    told = (
+        "mark[0].position: tyres on ice slide on a slope of 36 %: it cannot stay at rest there; "
+        "move it to a slope of at most 22 %"
+    )
+    assert [str(each.message) for each in caught] == [told] * slides
+
+
+@pytest.mark.parametrize("name", ["drift_car", "rally_car"])
+@pytest.mark.parametrize(
+    "rise, told",
+    [
+        (0.1, ""),  # friction that is rounded near its peak leaves 0.011 mm/s
+        (0.2, "on a slope of 20 %, the {} creeps by 4.7 mm during the hold, although it brakes"),
+        (0.3, "on a slope of 30 %, the {} slides down, although it brakes"),
+    ],
+)
+def test_a_hold_on_ice_is_refused_where_tyres_creep_visibly(name, rise, told):
+    car = vehsim.load_vehicle(name, {"surface": "ice"})
+    marks = [rest(1, REST, heading=0, hold=24), Mark(145, position=(12, 0, 0))]
+    request = make_request(car, sloping((rise, 0.0)), marks, fps=24, segments=8)
+    remedy = ": its tyres on ice grip too little; hold on a slope of at most 16 %"
+    assert [str(each) for each in refusals(request)] == [f"mark[0].hold: {told.format(name)}{remedy}"] * bool(told)
+
+
 @pytest.mark.parametrize(
     "place, tolerance, refused", [(-20, 0, True), (-20, 10, True), (-20, 22, False), (30, 0, False), (30, 50, False)]
 )

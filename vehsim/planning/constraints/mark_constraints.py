@@ -241,12 +241,14 @@ def imbalance(transcription: Transcription, x: Expr, c: Expr, everywhere: bool =
     forces = vehicle.force(g, r, *still, c * transcription.control_scale, transcription.air["wind"])
     weight = conservative_at_rest(vehicle, g, r)
     total = [a + b for a, b in zip(forces, weight, strict=True)]
-    rows, rolls = project(vehicle, r, *total) / transcription.momentum_scale, rolling_ahead(vehicle, r)
+    scale, rolls = transcription.momentum_scale, rolling_ahead(vehicle, r)
+    rows = project(vehicle, r, *total) / scale
     if rolls is None:
         return rows
     inertia = momentum(vehicle, r, *rolls)
     along, mass = (sum(ca.dot(*pair) for pair in zip(rolls, of, strict=True)) for of in (total, inertia))
-    return ca.vertcat(along / mass, *(rows[k] for k in _of_body(vehicle, rows)))
+    body = zip(vehicle.attitude or (), _of_body(vehicle, rows), strict=True)
+    return ca.vertcat(along / mass, *(total[0][vehicle.joints.index(name)] / scale[k] for name, k in body))
 
 
 def _of_body(vehicle: Vehicle, z: Expr) -> list[int]:

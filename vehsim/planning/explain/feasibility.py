@@ -26,13 +26,17 @@ from vehsim.planning.explain.bounds import (
 from vehsim.planning.explain.earliest import first_frame
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.marks import Mark, heading_of, leeway
-from vehsim.planning.request.request import Request
+from vehsim.planning.request.request import Request, whole_percent
 from vehsim.planning.terms import Constraint
 from vehsim.planning.trim import upright
 from vehsim.vehicles.definition.mechanics import free_size
+from vehsim.vehicles.definition.standing import SEEN, creep, peak, steepest
 from vehsim.vehicles.definition.surfaces import SURFACES
 
 Array = NDArray[np.float64]
+
+DRIFT = 2e-3
+"""Farthest creep during a hold, m: the audit's tolerance of its drift."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,8 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
     if mark.velocity is not None and abs(mark.velocity[2]) > climb:
         message = f"{abs(mark.velocity[2]):g} m/s up or down, limit {climb:g}"
         found.append(Refusal(mark, "velocity", message, f"use at most {climb:g} m/s"))
-    found += _bent_too_far(request, mark) + _sideways(request, mark) + _too_steep(request, mark)
+    found += _bent_too_far(request, mark) + _sideways(request, mark)
+    found += _too_steep(request, mark) or _creeps(request, mark)
     for term in request.constraints:
         found += _outside(request, mark, term) + _looks_elsewhere(mark, term)
     return found
@@ -126,6 +131,21 @@ def _too_steep(request: Request, mark: Mark) -> list[Refusal]:
     message = f"to rest on the slope there, tyres need {steep:.3g} g; {_given_grip(request)} is {grip:.3g}"
     raised = ", or raise limits.grip" if steep < SURFACES[request.vehicle.surface].friction else ""
     return [Refusal(mark, "position", message, f"move it to gentler ground{raised}")]
+
+
+def _creeps(request: Request, mark: Mark) -> list[Refusal]:
+    """A hold on a slope that tyres which may slip slide or creep down, farther than can be seen."""
+    if not mark.hold or request.vehicle.standing is None:
+        return []
+    seconds = mark.hold / float(request.fps)
+    most, steep = steepest(request.vehicle, min(SEEN, DRIFT / seconds)), request.steepness(mark)
+    if steep <= most:
+        return []
+    slope, moves = f"on a slope of {100 * steep:.3g} %, the {request.vehicle.name}", "slides down"
+    if steep < peak(request.vehicle):
+        moves = f"creeps by {1e3 * seconds * creep(request.vehicle, steep):.2g} mm during the hold"
+    message = f"{slope} {moves}, although it brakes: its tyres on {request.vehicle.surface} grip too little"
+    return [Refusal(mark, "hold", message, f"hold on a slope of at most {whole_percent(most)}")]
 
 
 def _given_grip(request: Request) -> str:

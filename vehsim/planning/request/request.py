@@ -27,6 +27,7 @@ from vehsim.planning.terms import LIMITS, Constraint, Limits, Term, check_limits
 from vehsim.planning.trim import leans, rests_uncontrolled
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import BRISK, DEFAULT
+from vehsim.vehicles.definition.standing import peak
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground import touchdown
 from vehsim.world.ground.below import above_marks
@@ -355,21 +356,26 @@ def _can_stand(vehicle: Vehicle, world: Any, mark: Mark) -> bool:
 
 
 def check_held(request: Request) -> None:
-    """Warn of a mark at rest on ground so steep that tyres without slip would slide there, where nothing limits their
-    grip: wheels without slip hold the vehicle on any slope."""
-    most = tyre_grip(request.vehicle)
-    if math.isfinite(request.limits.get("grip")) or math.isinf(most):
+    """Warn of a mark at rest on ground so steep that tyres slide there, where nothing else limits their grip: tyres
+    that never slip hold the vehicle on any slope, and others let it rest for an instant. Holds are refused there."""
+    vehicle, held = request.vehicle, {mark.name for mark in request.marks if mark.hold}
+    slips = vehicle.standing is not None
+    most = peak(vehicle) if slips else tyre_grip(vehicle)
+    if math.isinf(most) or (not slips and math.isfinite(request.limits.get("grip"))):
         return
     for mark in {mark.name: mark for mark in request.marks if mark.at_rest}.values():  # a hold is two marks
         steep = request.steepness(mark)
-        if steep > most:
-            slide = f"tyres on {request.vehicle.surface} slide on a slope of {100 * steep:.0f} %"
-            problem = Problem(
-                f"{mark.name}.position",
-                f"{slide}, but wheels never slip here",
-                f"move it to a slope of at most {100 * most:.0f} %",
-            )
-            warnings.warn(Caution(problem), stacklevel=4)
+        if steep <= most or (slips and (mark.name in held or request.limits.get("grip") < steep)):
+            continue
+        then = ": it cannot stay at rest there" if slips else ", but wheels never slip here"
+        message = f"tyres on {vehicle.surface} slide on a slope of {100 * steep:.0f} %{then}"
+        problem = Problem(f"{mark.name}.position", message, f"move it to a slope of at most {whole_percent(most)}")
+        warnings.warn(Caution(problem), stacklevel=4)
+
+
+def whole_percent(slope: float) -> str:
+    """A slope, m/m, rounded down."""
+    return f"{math.floor(100 * slope + 1e-9)} %"
 
 
 def check_level(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
