@@ -183,11 +183,15 @@ def test_a_car_holds_on_a_slope_unless_its_brakes_are_too_weak():
     assert "on this slope the car cannot stand still there" in message and "heading" in remedy
 
 
-def test_a_car_whose_tyres_slip_holds_on_ice_without_visible_creep():
-    """Rounded friction leaves it out of balance sideways, by far less than can be seen."""
-    car, x = vehsim.load_vehicle("rally_car", {"surface": "ice"}), np.arange(-60, 61, 10.0)
+@pytest.mark.parametrize(
+    ("name", "surface", "heading"), [("rally_car", "ice", 90), ("rally_car", "ice", 0), ("drift_car", "asphalt", 0)]
+)
+def test_a_car_whose_tyres_slip_holds_on_a_slope_without_visible_creep(name, surface, heading):
+    """Rounded friction leaves it out of balance, by far less than can be seen; brakes hold it, not its engine."""
+    car, x = vehsim.load_vehicle(name, {"surface": surface}), np.arange(-60, 61, 10.0)
     world = World(Terrain("slope", 0.1 * np.tile(x, (13, 1)), (-60.0, -60.0), (10.0, 10.0)))
-    marks = [rest(1, REST, heading=90), rest(217, (0, 8, 0), heading=90, hold=48)]
+    place = (8 * np.cos(np.radians(heading)), 8 * np.sin(np.radians(heading)), 0)
+    marks = [rest(1, REST, heading=heading), rest(217, place, heading=heading, hold=48)]
     plan = vehsim.plan(car, world, marks, segments=16, refine=False)
     assert plan.success, plan.message
     assert [row.met for row in plan.audit if "hold" in row.key] == [True, True]

@@ -23,6 +23,7 @@ from vehsim.planning.trajectory import Trajectory
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.gripping import rolling_ahead
 from vehsim.vehicles.definition.mechanics import acceleration, conservative_at_rest, momentum, project
+from vehsim.vehicles.definition.standing import braked
 
 Array = NDArray[np.float64]
 Expr = Any
@@ -33,7 +34,9 @@ THROUGH = 0.05
 """Least speed through a gate, m/s: a vehicle that comes backwards and turns round in the gate does not pass it."""
 PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "speed": 1, "gate": 11}
 """The quantities a mark can fix besides joints, and their sizes."""
-SPRINGS = "balance on springs"
+BRAKED = 1e-4
+"""Acceleration, m/s^2, by which brakes may hold less in a hold on a slope than they could: 1 mm of creep in 5 s."""
+SPRINGS, BRAKES = "balance on springs", "brakes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +106,8 @@ class MarkConstraint(Block):
         """The message for rows (n,) of what the mark fixes that elastic mode misses by ``off``."""
         if key == "velocity (balance)":
             return f"{self.mark.name}: the vehicle cannot be in balance there"
+        if key == BRAKES:
+            return f"{self.mark.name}.hold: its brakes cannot hold it there"
         if key == SPRINGS:
             return f"{self.mark.name}: the body cannot be in balance on its springs there"
         return f"{self.mark.name}.{key} is missed by {_amount(key, off)}"
@@ -161,6 +166,7 @@ def mark_element(
             "position": _place(transcription, mark, view, wanted),
             attitude: _attitude(transcription, mark, root_pose(transcription.vehicle, g), wanted),
             "velocity (balance)": _equal(imbalance(transcription, x, c, everywhere)) if balance else [],
+            BRAKES: _unbraked(transcription, x, c, everywhere) if balance else [],
             "speed" if mark.velocity is None else "velocity": _motion(transcription, mark, view, x, c, wanted),
             "joints": _joints(mark, view, wanted),
             SPRINGS: _equal(_bouncing(transcription, x, c, everywhere)) if cut and not mark.at_rest else [],
@@ -175,7 +181,7 @@ def mark_element(
         return None
     rows, lower, upper = zip(*(row for rows in fixed.values() for row in rows), strict=True)
     y, given = ca.vertcat(*v.values()), {key: wanted[key] for key in sizes if getattr(mark, key) is not None}
-    space = transcription.space(g) if {"velocity (balance)", SPRINGS} & {*labels} and not everywhere else None
+    space = transcription.space(g) if {"velocity (balance)", BRAKES, SPRINGS} & {*labels} and not everywhere else None
     return Element(
         "mark", y, {**transcription.air, **given}, g=ca.vertcat(*rows), lower=lower, upper=upper, labels=labels,
         space=space,
@@ -233,7 +239,8 @@ def imbalance(transcription: Transcription, x: Expr, c: Expr, everywhere: bool =
     """Acceleration along the free velocities of a vehicle at rest, (n,), in the symbols of `Transcription.air` and,
     unless ``everywhere``, of `Transcription.space`.
 
-    Tyres at rest do not slip: only what would make them roll, or move the body on its springs, is out of balance.
+    Tyres at rest do not slip: only what would make them roll, or move the body on its springs, is out of balance. What
+    their rounded friction leaves is judged by `vehicles.definition.standing`.
     """
     vehicle = transcription.in_air if everywhere else transcription.local_in_air[1]
     g, r, _ = transcription.split(x)
@@ -248,7 +255,26 @@ def imbalance(transcription: Transcription, x: Expr, c: Expr, everywhere: bool =
     inertia = momentum(vehicle, r, *rolls)
     along, mass = (sum(ca.dot(*pair) for pair in zip(rolls, of, strict=True)) for of in (total, inertia))
     body = zip(vehicle.attitude or (), _of_body(vehicle, rows), strict=True)
+    if vehicle.standing is not None and transcription.relief is not None:  # brakes hold it, see `_unbraked`
+        along = ca.dot(rolls[0], total[0])
     return ca.vertcat(along / mass, *(total[0][vehicle.joints.index(name)] / scale[k] for name, k in body))
+
+
+def _unbraked(transcription: Transcription, x: Expr, c: Expr, everywhere: bool) -> list[Row]:
+    """What the brakes of a vehicle at rest on a slope hold, less than they could, m/s^2, where its tyres may slip.
+
+    An engine's torque would balance the weight, but executed it lets the vehicle creep.
+    """
+    vehicle = transcription.in_air if everywhere else transcription.local_in_air[1]
+    g, r, _ = transcription.split(x)
+    rolls = rolling_ahead(vehicle, r)
+    if rolls is None or vehicle.standing is None or transcription.relief is None:
+        return []
+    still = (ca.SX.zeros(len(vehicle.joints)), ca.SX.zeros(vehicle.group.dim))
+    controls = c * transcription.control_scale, ca.SX(braked(vehicle))
+    held, most = (vehicle.force(g, r, *still, each, transcription.air["wind"])[1] for each in controls)
+    mass = sum(ca.dot(*pair) for pair in zip(rolls, momentum(vehicle, r, *rolls), strict=True))
+    return _equal(ca.dot(rolls[1], held - most) / mass, BRAKED)
 
 
 def _of_body(vehicle: Vehicle, z: Expr) -> list[int]:

@@ -48,6 +48,11 @@ def creep(vehicle: Vehicle, slope: float) -> float:
     return float(np.abs(np.asarray(_on_slope(vehicle)(slope)[1])).max())
 
 
+def braked(vehicle: Vehicle) -> list[float]:
+    """Controls (c,) with the brakes on, which are the controls that only pull one way."""
+    return [control.upper if control.lower == 0 else 0.0 for control in vehicle.controls]
+
+
 @lru_cache(maxsize=16)
 def _on_slope(vehicle: Vehicle) -> ca.Function:
     """A function of the slope, m/m: the force over weight that friction bears across the vehicle, and the speeds (2,)
@@ -56,8 +61,7 @@ def _on_slope(vehicle: Vehicle) -> ca.Function:
     s, driven = len(vehicle.joints), {*vehicle.rate_controls.values(), *(vehicle.attitude or ())}
     wheels = [k for k, joint in enumerate(vehicle.joints) if joint not in driven]
     slope, r, u, xi = ca.SX.sym("slope"), ca.SX.zeros(s), ca.SX.sym("u", s), ca.SX.sym("xi", 3)
-    # brakes are the controls that only pull one way
-    brakes = ca.SX([control.upper if control.lower == 0 else 0.0 for control in vehicle.controls])
+    brakes = ca.SX(braked(vehicle))
     on_joints, on_body = vehicle.force(ca.SX.zeros(3), r, u, xi, brakes, ca.SX.zeros(3))
     forces, rates = ca.vertcat(on_joints[wheels], on_body), ca.vertcat(u[wheels], xi)
     at_rest = ca.vertcat(u, xi), ca.SX.zeros(s + 3)
