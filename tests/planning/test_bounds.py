@@ -120,7 +120,7 @@ def test_strength_is_force_over_inertia():
 @pytest.mark.parametrize(
     ("name", "given", "says"),
     [
-        ("car", {"heading": 0, "velocity": (0, 5, 0)}, "velocity: 90 degrees off its heading, .* within 19.3"),
+        ("car", {"heading": 0, "velocity": (0, 5, 0)}, "velocity: 90 degrees off its heading: .* within 19.3"),
         ("two_wheeled", {"heading": 0, "velocity": (0, 1, 0)}, "velocity: 90 .* rolls straight ahead or back"),
         ("car", {"joints": {"sigma": 1.5}}, r"mark\[1\].joints.sigma = 1.5: outside -0.7 to 0.7; keep it inside"),
         ("car", {"heading": 10, "velocity": (-5, -1, 0)}, None),

@@ -90,6 +90,27 @@ def test_bounds_name_mark_amount_and_remedy(marks, limits, expected):
     assert re.fullmatch(expected.replace("[1].", r"\[1\].").replace("[0].", r"\[0\].").replace("^", r"\^"), message)
 
 
+def test_several_limits_of_a_leg_are_one_message():
+    """They were repeated with the same remedy."""
+    (message,) = messages_of(
+        [Mark(1, position=REST, heading=0), Mark(25, position=(30, 0, 9), heading=90)],
+        limits={"speed": 20, "climb": 3, "turn_rate": np.deg2rad(45)},
+    )
+    needed = "31.3 m/s, limit 20, and 9 m/s up or down, limit 3, and 90 deg/s, limit 45"
+    assert message.startswith(f"mark[1].frame: frames 1 to 25 need {needed}; ")
+
+
+def test_what_may_be_loosened_names_its_keys():
+    car, marks = vehsim.load_vehicle("car"), CAR_ASIDE
+    world = vehsim.World(obstacles=[box("tower", (40, 40, 1), (2, 2, 2))])
+    limits = {"grip": 0.5, "joints": {"sigma": 0.3}}
+    given = dict(fps=24, segments=8)
+    assert make_request(car, None, marks, **given).loosen == "loosen marks"
+    assert make_request(car, world, marks, **given).loosen == "loosen marks or clearance"
+    request = make_request(car, world, marks, limits=limits, terms=[stay(within=(-9, -9, 9, 9))], **given)
+    assert request.loosen == "loosen marks, clearance, limits.grip, limits.joints.sigma or 'stay'"
+
+
 def test_a_mark_outside_a_stay_is_named():
     helicopter, low = vehsim.load_vehicle("helicopter"), (20, 0, 20)
     stays = (ranges.stay((1050, 1150), above=25), ranges.stay(within=(-5, -5, 45, 5)))
@@ -120,7 +141,7 @@ def test_misses_are_reported_in_the_marks_units():
         vehsim.plan(car, None, turn, segments=16, limits={"acceleration": 5})  # only an earliest frame is known
     tight = [turn[0], Mark("free", position=(6, 1, 0), heading=90, speed=8)]
     with pytest.warns(
-        UserWarning, match=r"m/s; mark\[1\].heading is missed by .* m; loosen marks, clearance or limits$"
+        UserWarning, match=r"m/s; mark\[1\].heading is missed by .* m; loosen marks, limits.acceleration or 'stay'$"
     ):
         vehsim.plan(car, None, tight, segments=16, limits={"acceleration": 5}, terms=[stay(within=(-1, -3, 8, 4))])
     level = [Mark(1, position=(0, 0, 20), velocity=REST), Mark(101, position=(40, 0, 20), velocity=REST)]

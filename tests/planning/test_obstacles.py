@@ -312,9 +312,20 @@ def test_a_path_is_divided_by_frames():
 
 
 def test_a_walled_in_vehicle_is_reported(car):
+    """With the key of its mark, and without a remedy that does not help."""
     marks = [Mark(1, position=(20, 0, 0), heading=0, velocity=REST), Mark("free", position=(50, 0, 0))]
-    with pytest.raises(SolveError, match=r"no path from .*obstacles close it; open a gap"):
+    told = r"^mark\[1\].position: no path from .*obstacles close it; open a gap, or move the mark$"
+    with pytest.raises(SolveError, match=told):
         vehsim.plan(car, World(obstacles=WALLS), marks, segments=32, clearance=0.3)
+
+
+def test_a_gap_that_is_too_narrow_comes_with_the_clearance_that_it_allows(car):
+    walls = [ob.box(name, (15, y, 1), (4, 40, 2)) for name, y in (("left", 21.2), ("right", -21.2))]
+    walls += [ob.box(name, (5, y, 1), (92, 4, 2)) for name, y in (("north", 42), ("south", -42))]
+    walls += [ob.box(name, (x, 0, 1), (4, 88, 2)) for name, x in (("west", -40), ("east", 50))]
+    marks = [Mark(1, position=(0, 0, 0), heading=0, velocity=REST), Mark("free", position=(32, 0, 0))]
+    with pytest.raises(SolveError, match=r"open a gap, lower the clearance to 0\.\d+ m at most, or move the mark$"):
+        vehsim.plan(car, World(obstacles=walls), marks, segments=32, clearance=0.6)
 
 
 def test_a_path_out_of_the_walls_is_found(car):

@@ -184,7 +184,8 @@ def check_stages(paths: Sequence[Path]) -> None:
 def summary(shot: Shot) -> str:
     moved = ", ".join(f"{vehicle.name} ({vehicle.asset}, {vehicle.motion.method})" for vehicle in shot.file.vehicle)
     world = shot.file.world
-    place = f"in {world.terrain}" if world.terrain else "on water" if world.water else "in empty space"
+    near = f"among {len(world.obstacle)} obstacles" if world.obstacle else "in empty space"
+    place = f"in {world.terrain}" if world.terrain else "on water" if world.water else near
     return f"{moved} {place} at {shot.fps} fps"
 
 

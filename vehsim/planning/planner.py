@@ -36,7 +36,7 @@ from vehsim.planning.fallbacks import (
 from vehsim.planning.guesses.routes import InitialGuess, as_clip, initial_guess, reversing, roundabout, straight
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
-from vehsim.planning.problem.solver import HURRIED, LONGER, LOOSEN, MET, Patience
+from vehsim.planning.problem.solver import HURRIED, LONGER, MET, Patience
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
@@ -648,7 +648,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         if solution.violation < MET:
             worst = "all constraints are met, but the cost is not minimal yet; allow more iterations"
         else:
-            worst += f"; {LONGER if solution.out_of_time else LOOSEN}"
+            worst += f"; {LONGER if solution.out_of_time else request.loosen}"
         message = iterate.why.text or f"{message}: {worst}"
     elif success and certificate.clearance < certificate.wanted - SLACK:
         success, reason = False, "clearance"
@@ -682,7 +682,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     if wrong := missed(rows):
         success, reason = False, "audit"
         out_of_time = run.deadline.over or run.deadline.cut
-        remedy = "" if any(row.remedy for row in wrong[:NAMED]) else f"; {LONGER if out_of_time else LOOSEN}"
+        remedy = "" if any(row.remedy for row in wrong[:NAMED]) else f"; {LONGER if out_of_time else request.loosen}"
         missing = "; ".join(map(str, wrong[:NAMED]))
         message = f"the finished motion misses what was requested: {missing}{iterate.note}{remedy}"
     return Plan(

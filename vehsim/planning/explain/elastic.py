@@ -19,7 +19,7 @@ from vehsim.planning.explain.work import affordable
 from vehsim.planning.iterate import Iterate, Run, Why
 from vehsim.planning.problem.elements import Element, NonlinearProgram
 from vehsim.planning.problem.layout import Layout
-from vehsim.planning.problem.solver import LOOSEN, Solution, Solver
+from vehsim.planning.problem.solver import Solution, Solver
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.refine import largest_error, refine, to_requested_segments
 from vehsim.planning.request.character import NO_TRAITS
@@ -88,7 +88,7 @@ def diagnose(run: Run, guess: Iterate) -> tuple[Why, Array | None]:
     clearance = _possible_clearance(run, guess) if unknown else None
     later = _with_more_time(run, guess) if unknown and not guess.blocked else Why()
     closer = "" if clearance is None else f"a motion was found with clearance = {clearance:g}"
-    remedies = [text for text in (closer, later.text) if text] or [LOOSEN] * unknown
+    remedies = [text for text in (closer, later.text) if text] or [guess.request.loosen] * unknown
     texts = filter(None, (late.text, missed, *remedies))
     return replace(late or later, text="; ".join(texts), clearance=clearance), None
 
@@ -223,14 +223,19 @@ def _earliest(run: Run, guess: Iterate, i: int, frames: dict[int, int]) -> Why:
     if any(term.frames is not None for term in request.terms):  # ranges of frames cannot move
         own = marks[i].place >= 0
         where = f"{marks[i].name}.frame = {marks[i].frame}" if own else f"{marks[i].name} (an end of a range of frames)"
-        return Why(f"{where} is too early; the fastest motion found takes until {frames[i]}")
+        return Why(f"{where} is too early; {_not_before(frames[i])}")
     first, early = int(marks[0].frame), f"{marks[i].name}.frame = {marks[i].frame} is too early"
     for margin in SLACKS:
         later = {k: math.ceil(frame + margin * (frame - first) - 1e-3) for k, frame in frames.items()}
         if not run.deadline.late and _is_met(run, guess, later):
             at = _by_name(marks, later)
             return Why(f"{early}; use {later[i]}{_then([f'{name}.frame = {at[name]}' for name in at][1:])}", at)
-    return Why(f"{early}; the fastest motion found takes until {frames[i]}")
+    return Why(f"{early}; {_not_before(frames[i])}")
+
+
+def _not_before(frame: int) -> str:
+    """The remedy where no plan was found at a ``frame`` that a relaxed problem leads to."""
+    return f"the fastest motion found takes until {frame}; give that frame or a later one"
 
 
 def _by_name(marks: Sequence[Mark], frames: dict[int, int]) -> dict[str, int]:

@@ -119,7 +119,7 @@ def _sideways(request: Request, mark: Mark) -> list[Refusal]:
     if anywhere or off <= most + 0.5:
         return []
     allowed = "straight ahead or back" if most < 0.5 else f"within {most:.3g} degrees of ahead or back"
-    message = f"{off:.3g} degrees off its heading, the {vehicle.name} rolls {allowed}"
+    message = f"{off:.3g} degrees off its heading: the {vehicle.name} rolls {allowed}"
     return [Refusal(mark, "velocity", message, "turn the heading or the velocity")]
 
 
@@ -128,8 +128,11 @@ def _too_steep(request: Request, mark: Mark) -> list[Refusal]:
     grip = request.limits.get("grip")
     if not mark.at_rest or not math.isfinite(grip) or (steep := request.steepness(mark)) <= grip:
         return []
-    message = f"to rest on the slope there, tyres need {steep:.3g} g; {_given_grip(request)} is {grip:.3g}"
-    raised = ", or raise limits.grip" if steep < SURFACES[request.vehicle.surface].friction else ""
+    friction = SURFACES[request.vehicle.surface].friction
+    there = "" if friction == 1 else f" is {grip:.3g}"
+    message = f"to rest on the slope there, tyres need {steep:.3g} g; {_given_grip(request)}{there}"
+    enough = math.ceil(100 * steep / friction) / 100
+    raised = f", or raise limits.grip to {enough:g}" if steep < friction else ""
     return [Refusal(mark, "position", message, f"move it to gentler ground{raised}")]
 
 
@@ -241,8 +244,8 @@ def _between(request: Request, i: int, j: int, delay: int) -> tuple[list[Refusal
             remedy = f"earliest {at}" if proven else f"use {at}"
         if any(mark.given_frame is not None and mark.place > b.place for mark in request.marks):
             remedy += f", with all later marks moved by {delay + later} frames"
-    offer = tuple(fixes.items())
-    return [Refusal(b, "frame", f"{frames} need {message}", remedy, offer) for message, _ in reasons], later
+    needed = ", and ".join(message for message, _ in reasons)
+    return [Refusal(b, "frame", f"{frames} need {needed}", remedy, tuple(fixes.items()))], later
 
 
 def _too_far(request: Request, placed: list[Mark], seconds: float) -> list[tuple[str, float]]:

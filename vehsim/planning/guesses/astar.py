@@ -53,6 +53,8 @@ EARLY, EACH, TRIED = 50, 8, 2
 DETOUR, SHORTER = 1.2, 0.9
 """A path that costs more than so many times the way over the ground is searched from its other end too, with `EARLY`
 poses; what is found there is taken if it costs no more and is at most so long, relative to the first."""
+SHARES = (0.75, 0.5, 0.25, 0.0)
+"""Shares of the requested clearance that are tried, in turn, to find one with which obstacles leave a path."""
 LOOP = 1.5
 """A vehicle without constraints, such as a boat, goes sideways rather than along arcs longer by this factor."""
 SHIFTED = 6
@@ -80,12 +82,20 @@ def guess_drive(
     # the search moves the body frame's origin (a car's rear axle) if there is a turning circle, otherwise the root
     lead = np.asarray(vehicle.origin[:2], float) if radius > 0 else np.zeros(2)
     shy = SHY * 4 ** (wariness + len(vehicle.tied))  # the search does not know where a trailer swings
-    ground = _Ground(vehicle, lead, parts, ends[:, :2] + _turned(np.array(nose), lead), clearance, shy, met)
+    places = ends[:, :2] + _turned(np.array(nose), lead)
+    ground = _Ground(vehicle, lead, parts, places, clearance, shy, met)
     path = ground.descend()
     if path is None:
-        places = " to ".join("(" + ", ".join(f"{v:g}" for v in end[:2]) + ")" for end in ends)
-        remedy = "open a gap, lower the clearance, or move the mark"
-        raise SolveError(f"no path from {places} with {clearance:g} m clearance: obstacles close it", remedy)
+
+        def opened(less: float) -> bool:
+            return _Ground(vehicle, lead, parts, places, less, shy, met).descend() is not None
+
+        between = " to ".join("(" + ", ".join(f"{v:g}" for v in end[:2]) + ")" for end in ends)
+        shares = SHARES if clearance > 0 and not met else ()
+        less = next((value for share in shares if opened(value := float(f"{share * clearance:.2g}"))), None)
+        lower = "" if less is None else f", lower the clearance to {less:g} m at most"
+        remedy = f"open a gap{lower}, or move the mark"
+        raise SolveError(f"no path from {between} with {clearance:g} m clearance: obstacles close it", remedy)
     poses = None
     for slack, share in product((0.0, ground.partly), STEPS) if radius > 0 else ():
         search = _Search(ground, radius, (nose[0], headings[1]), share, slack)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,9 +53,10 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
             ends, noses = np.array(leg), (nose[j], nose[j + 1])
             try:
                 path = astar.guess_drive(request.vehicle, parts, ends, noses, request.clearance, wariness, met)
-            except SolveError:
+            except SolveError as error:
                 if not found:
-                    raise
+                    key = f"{request.marks[j + 1].name}.position"
+                    raise SolveError.of(*(replace(problem, key=key) for problem in error.problems)) from None
                 break  # the places where they met close every way
             duration = path_length(path) / BRISK if np.isnan(fixed[j]) else fixed[j]
             if not moving or path_length(path) < STILL or duration <= 0:

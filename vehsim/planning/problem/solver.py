@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 HURRIED = "time limit reached"
 """Status of a solve that was stopped by its deadline."""
-LOOSEN, LONGER = "loosen marks, clearance or limits", "give it a longer time_limit"
+LONGER = "give it a longer time_limit"
 """Remedies for a failed plan: the general one, and the one for a short time limit."""
 
 

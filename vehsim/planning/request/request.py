@@ -56,6 +56,8 @@ TILTED = 5.0
 """Angle between a mark's attitude and the ground, degrees, above which there is a warning that it does not count."""
 SPAN = 0.5
 """Half the length over which the slope of the ground at a mark is measured, m."""
+JOINTS = "joints", "joint_rates"
+"""The limits that are tables of joints."""
 UNEVEN = 0.02
 """Largest height above the ground, m, of a part of a standing vehicle without a warning."""
 
@@ -128,6 +130,15 @@ class Request:
         given = math.isfinite(self.limits.get("speed"))
         own = f"and the {self.vehicle.name} reaches {self.top_speed:g}; limits.speed can allow more"
         return f"limit {self.top_speed:g}" if given else own
+
+    @property
+    def loosen(self) -> str:
+        """What could be given up where no motion is found, for messages."""
+        limits = [*self.limits.values, *(f"{kind}.{name}" for kind in JOINTS for name in getattr(self.limits, kind))]
+        terms = dict.fromkeys(f"{term.name!r}" for term in self.terms if isinstance(term, Constraint))
+        near = self.world is not None and (bool(self.world.obstacles) or self.hazards)
+        keys = ["marks", *["clearance"] * near, *(f"limits.{name}" for name in limits), *terms]
+        return f"loosen {' or '.join(filter(None, (', '.join(keys[:-1]), keys[-1])))}"
 
     @property
     def stops(self) -> Sequence[Mark]:
