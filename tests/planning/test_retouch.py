@@ -278,12 +278,14 @@ def test_an_edit_near_obstacles_is_solved_where_the_solved_motion_is_as_near():
     assert after.min() > before.min() - 0.03
 
 
-def test_a_boat_that_runs_with_its_bow_up_is_drawn_to_an_edit(voyage):
+@pytest.mark.parametrize(("first", "last", "aside"), [(1050, 1150, 0.4), (1080, 1130, 0.2)])
+def test_a_boat_that_runs_with_its_bow_up_is_drawn_to_an_edit(voyage, first, last, aside):
     """Its height changes with its speed, and the ends of the window were refused as marks of two heights."""
     clip, world = voyage, vehsim.World(water=0.0)
-    frames, positions, rotations = bumped(clip, 1050, 1150, (0.0, 0.4, 0.0))
+    frames, positions, rotations = bumped(clip, first, last, (0.0, aside, 0.0))
     made = retouch(clip, world, frames, positions, rotations).clip.resample()
     pitch, before = (tilt_of(each.orientations)[1] for each in (made, clip.resample()))
     assert np.abs(made.positions[:, :2] - positions[:, :2]).max() < 0.2
     assert np.degrees(pitch.min()) < -5 and np.degrees(np.abs(pitch - before).max()) < 2
     assert np.abs(np.diff(made.positions[:, 2])).max() < 0.02
+    assert np.degrees(np.abs(np.diff(pitch, 2)).max()) < 1.5 * np.degrees(np.abs(np.diff(before, 2)).max())

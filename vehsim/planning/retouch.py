@@ -50,6 +50,7 @@ from vehsim.vehicles.definition.character import BRISK, STUNT
 from vehsim.vehicles.definition.joint_channels import joint_channels
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground.placing import place_on_terrain
+from vehsim.world.water.gliding import place_on_water
 
 Array = NDArray[np.float64]
 
@@ -305,7 +306,7 @@ def _solved_again(
                 subject=clip.vehicle.name,
             )
         made = _replaced(made, exported(iterate.clip, request), window)
-        made = _on_springs(made, request.world, window)
+        made = _in_water(_on_springs(made, request.world, window), request.world, window)
     return made
 
 
@@ -593,6 +594,18 @@ def _on_springs(clip: Clip, world: Any, window: tuple[float, float]) -> Clip:
     for name in clip.channels.keys() - rates:  # wheels turn as before
         channels[name][within] = placed.channels[name]
     return replace(clip, positions=positions, orientations=continuous(attitudes), channels=channels)
+
+
+def _in_water(clip: Clip, world: Any, window: tuple[float, float]) -> Clip:
+    """The clip with its hull in the water through a window of other motion, which it enters and leaves as it moved
+    before and moves afterwards."""
+    first, last = _times(clip, np.array(window))
+    within = (clip.times > first - 1e-9) & (clip.times < last + 1e-9)
+    level = _flat(clip).orientations
+    if clip.vehicle.floating is None or np.allclose(clip.orientations[~within], level[~within], atol=1e-9):
+        return clip
+    orientations = continuous(np.where(within[:, None], level, clip.orientations))
+    return place_on_water(replace(clip, orientations=orientations), world)
 
 
 def _knots(clip: Clip) -> Array | None:

@@ -13,4 +13,4 @@ if TYPE_CHECKING:
 
 def placed(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False, loop: bool = False) -> Clip:
     """The clip on ``world``'s terrain and water: `place_on_terrain` and `place_on_water`."""
-    return place_on_water(place_on_terrain(clip, world, samples, coarse, loop), world)
+    return place_on_water(place_on_terrain(clip, world, samples, coarse, loop), world, samples, loop)

@@ -76,7 +76,7 @@ def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: boo
         return clip
     if _is_on_terrain(clip, terrain, wheels):
         return clip
-    clip = _dense(clip, samples)
+    clip = dense(clip, samples)
     yaw = tilt_of(clip.orientations)[0]
     rest, last = _rest(terrain, own, clip.positions[:, :2], yaw, SEEN if coarse else 0.0)
     for k in np.flatnonzero(np.abs(last).max(axis=1) > STEADY)[:1]:
@@ -146,7 +146,7 @@ def _travel(rig: Any, terrain: Terrain, wheel: Wheel, channels: Any, positions: 
     return touch(terrain, wheel, *part_poses(rig, wheel.carrier, channels, positions, orientations))
 
 
-def _dense(clip: Clip, samples: int) -> Clip:
+def dense(clip: Clip, samples: int) -> Clip:
     """The clip with samples so close that motion between them is negligible."""
     step = 1 / (samples * float(clip.fps))
     if len(clip) < 2 or np.diff(clip.times).max() < 1.5 * step:

@@ -332,20 +332,33 @@ class Afloat(Environment):
     def stable(self, state: State) -> bool:
         """Whether calm water brings the hull back to its heave, roll and pitch in ``state``."""
         R_wb, position, *_ = _body(state, self.vehicle.origin)
+        stiffness = self._stiffness(R_wb, position[2] - self.water.level)
+        least, _, most = np.linalg.eigvalsh(stiffness + stiffness.T)
+        return bool(least > -NEUTRAL * most)
+
+    def _stiffness(self, R_wb: Array, height: float) -> Array:
+        """What volume times length, and its moments about the origin, lose (3, 3) over two nudges in heave, roll and
+        pitch, on calm water ``height`` m below the origin. A nudge in heave is a share of the hull's length."""
         length = float(self.size.max())
 
         def lift(heave: float, roll: float, pitch: float) -> Array:
-            """Volume, and its moments about the origin, of the hull moved by these: heave as a share of its length."""
             quaternion = np.array([1.0, roll / 2, pitch / 2, 0.0])
             turned = matrices(quaternion / np.linalg.norm(quaternion)) @ R_wb
-            depths = self.water.level - position[2] - heave * length - self.mesh.points @ turned[2]
+            depths = -height - heave * length - self.mesh.points @ turned[2]
             wet = wetted(np.column_stack([self.mesh.points, depths]), self.mesh.faces)
             x, y, _ = turned @ wet.centroid(turned[2])
             return wet.volume(turned[2]) * np.array([length, y, -x])
 
-        stiffness = np.array([lift(*-nudge) - lift(*nudge) for nudge in NUDGE * np.eye(3)])
-        least, _, most = np.linalg.eigvalsh(stiffness + stiffness.T)
-        return bool(least > -NEUTRAL * most)
+        return np.array([lift(*-nudge) - lift(*nudge) for nudge in NUDGE * np.eye(3)])
+
+    @cached_property
+    def natural_frequencies(self) -> Array:
+        """Those of heave, roll and pitch (3,) Hz about rest on calm water, each by itself and without damping; zero
+        where the hull does not come back."""
+        length = float(self.size.max())
+        volumes = np.diag(self._stiffness(np.eye(3), self.floating()[0])) / (2 * NUDGE * np.array([length**2, 1, 1]))
+        inertia = (np.diag(self.vehicle.inertia) + self.added_mass_at_rest)[[5, 0, 1]]
+        return np.sqrt(self.water.density * GRAVITY * np.maximum(volumes, 0.0) / inertia) / (2 * np.pi)
 
     def _fastest(self, turning: Array, moving: Array) -> float:
         """Speed of the fastest corner of the hull's box that moves and turns as given, (3,) each, or the same of
