@@ -76,12 +76,12 @@ def messages_of(marks, vehicle=None, **options):
         (
             [Mark(1, position=REST, speed=9), Mark(25)],
             {"speed": 8},
-            "mark[0].speed: 9 m/s, limit 8; use at most 8 m/s, or raise it",
+            "mark[0].speed: 9 m/s, limit 8; use at most 8 m/s, or raise limits.speed",
         ),
         (
             [Mark(1, position=REST), Mark(25, position=(0, 0, 9))],
             {"ceiling": 8},
-            "mark[1].position: 9 m high, ceiling 8; put it below 8 m, or raise the ceiling",
+            "mark[1].position: 9 m high, ceiling 8; put it below 8 m, or raise limits.ceiling",
         ),
     ],
 )
@@ -117,10 +117,10 @@ def test_a_mark_outside_a_stay_is_named():
     ends = [Mark(1001, position=(0, 0, 30), velocity=REST), Mark(1201, position=(40, 0, 30), velocity=REST)]
     expected = [
         ({"frame": 1101}, ["mark[1].position: 5 m outside what 'stay' allows for frames 1050 to 1150; "
-                           "move it by 5 m, or loosen 'stay'"]),
+                           "move z to at least 25, or loosen 'stay'"]),
         ({"frame": 1101, "tolerance": 2.0},
          ["mark[1].position: 3 m outside what 'stay' allows for frames 1050 to 1150; "
-          "move it by 3 m, or loosen 'stay'"]),
+          "move z to at least 23, or loosen 'stay'"]),
         ({"frame": 1101, "gate": Gate((1, 0, 0), radius=6)}, []),
         ({"frame": 1160}, []),
     ]  # fmt: skip
@@ -130,7 +130,7 @@ def test_a_mark_outside_a_stay_is_named():
         assert [str(refusal) for refusal in found] == messages
     aside = [ends[0], Mark(1201, position=(40, 9, 30), velocity=REST)]
     found = refusals(make_request(helicopter, None, aside, fps=24, segments=64, terms=stays[1:]))
-    assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' allows; move")
+    assert str(found[0]).startswith("mark[1].position: 4 m outside what 'stay' allows; move y to at most 5, or")
 
 
 def test_misses_are_reported_in_the_marks_units():

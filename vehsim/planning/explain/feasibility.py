@@ -78,11 +78,11 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
         key = "speed" if mark.velocity is None else "velocity"
         message = f"{speed:.3g} m/s, {request.speed_limit()}"
         fixes = ((f"{mark.name}.speed", top),) if key == "speed" else ()
-        found.append(Refusal(mark, key, message, f"use at most {top:g} m/s, or raise it", fixes))
+        found.append(Refusal(mark, key, message, f"use at most {top:g} m/s, or raise limits.speed", fixes))
     ceiling = limits.get("ceiling")
     if mark.position is not None and mark.position[2] - mark.tolerance > ceiling and request.vehicle.group.dim == 6:
         message = f"{mark.position[2]:g} m high, ceiling {ceiling:g}"
-        found.append(Refusal(mark, "position", message, f"put it below {ceiling:g} m, or raise the ceiling"))
+        found.append(Refusal(mark, "position", message, f"put it below {ceiling:g} m, or raise limits.ceiling"))
     climb = limits.get("climb")
     if mark.velocity is not None and abs(mark.velocity[2]) > climb:
         message = f"{abs(mark.velocity[2]):g} m/s up or down, limit {climb:g}"
@@ -189,13 +189,17 @@ def _outside(request: Request, mark: Mark, term: Constraint) -> list[Refusal]:
         return []
     room = mark.tolerance if mark.gate is None else leeway(mark)
     shown = 3 if request.vehicle.group.dim == 6 else 2
-    low, high = term.box
+    low, high = (np.asarray(corner, float) for corner in term.box)
     place = np.asarray(mark.position, float)
-    off = max(max(low[i] - place[i], place[i] - high[i]) for i in range(shown)) - room
-    if off <= 1e-9:
+    off, wanted = 0.0, []
+    for axis, at, least, most in zip("xyz"[:shown], place, low - room, high + room, strict=False):
+        off = max(off, least - at, at - most)
+        if max(least - at, at - most) > 1e-9:
+            wanted.append(f"{axis} to at {f'least {least:g}' if at < least else f'most {most:g}'}")
+    if not wanted:
         return []
     when = "" if term.frames is None else f" for frames {term.frames[0]} to {term.frames[1]}"
-    remedy = f"move it by {off:.3g} m, or loosen {term.name!r}"
+    remedy = f"move {' and '.join(wanted)}, or loosen {term.name!r}"
     return [Refusal(mark, "position", f"{off:.3g} m outside what {term.name!r} allows{when}", remedy)]
 
 
