@@ -51,11 +51,16 @@ def in_narrow_places(run: Run, failed: Iterate, guess: InitialGuess) -> Iterate:
     for _ in range(MEASURED):
         if run.deadline.late:
             break
-        blocks = tuple(b.of_surface(iterate) if isinstance(b, Clearance) else b for b in iterate.blocks)
-        iterate = solve(run, replace(iterate, blocks=blocks, multipliers=None))
+        iterate = solve(run, by_surface(iterate))
         if iterate.success:
             return iterate
     return failed
+
+
+def by_surface(iterate: Iterate) -> Iterate:
+    """The iterate with the surface of the vehicle, measured along it, instead of the spheres around it."""
+    blocks = tuple(b.of_surface(iterate) if isinstance(b, Clearance) else b for b in iterate.blocks)
+    return replace(iterate, blocks=blocks, multipliers=None)
 
 
 def with_fewer_requirements(run: Run, iterate: Iterate, request: Request, guess: InitialGuess) -> tuple[Run, Iterate]:

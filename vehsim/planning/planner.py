@@ -28,6 +28,7 @@ from vehsim.planning.deadline import OutOfTime
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.explain.looks import fastest_look
 from vehsim.planning.fallbacks import (
+    by_surface,
     enough_segments,
     from_other_guesses,
     in_narrow_places,
@@ -497,7 +498,7 @@ def _attempt(request: Request, progress: Progress | None, given: Any, once: bool
     if not iterate.success:
         run, iterate = _found(run, iterate, guess, request, once, early)
     iterate = _in_traits(run, iterate, request)
-    iterate = _by_its_surface(run, iterate, guess, request)
+    iterate = _by_its_surface(run, iterate, request)
     if early and _is_too_hard(run, iterate):
         raise _TooHard(iterate)
     iterate = to_requested_segments(run, iterate)
@@ -542,12 +543,13 @@ def _found(
     return run, iterate
 
 
-def _by_its_surface(run: Run, iterate: Iterate, guess: InitialGuess, request: Request) -> Iterate:
-    """A motion beyond its character on which the spheres around the vehicle press, solved with the vehicle's surface;
-    unchanged if that makes it little softer."""
+def _by_its_surface(run: Run, iterate: Iterate, request: Request) -> Iterate:
+    """A motion beyond its character on which the spheres around the vehicle press, solved again with the vehicle's
+    surface; unchanged if that makes it little softer."""
     if not _presses(iterate) or (strain := _strain(iterate, request)) <= STRAINED or run.deadline.late:
         return iterate
-    narrow = _in_traits(run, in_narrow_places(run, iterate, guess), request)
+    # from the motion itself: from its guess it takes four times as many iterations, to motions that are no better
+    narrow = solve(run, by_surface(iterate))
     return narrow if narrow.success and _strain(narrow, request) < WORTH * strain else iterate
 
 
