@@ -41,6 +41,15 @@ def test_channels_are_monotone_like_pchip(count, shape, kind):
     assert np.abs(monotone(x, y, at) - PchipInterpolator(x, y)(at)).max() < 1e-11
 
 
+@pytest.mark.parametrize("before", [1, 2, 5])
+@pytest.mark.parametrize("after", [1, 2, 5])
+def test_channels_keep_their_rate_until_a_motion_is_cut_off(before, after):
+    x = np.concatenate([np.linspace(0, 1, before + 1), np.linspace(1 + 1e-4, 2, after + 1)])
+    y = np.minimum(3 * x, 3.0)
+    at = np.linspace(0, 2, 300)
+    assert np.abs(monotone(x, y, at) - np.minimum(3 * at, 3.0)).max() < 1e-3
+
+
 @pytest.mark.parametrize("count", [1, 2, 5, 100])
 def test_bells_are_gaussian_filters(count):
     values = np.random.default_rng(count).normal(size=count)
@@ -59,5 +68,6 @@ def test_integrals_of_polynomials_are_exact(count):
     laws = [np.poly1d(rng.normal(size=min(6, count))) for _ in range(2)]
     rates = np.column_stack([law(times) for law in laws])
     wanted = np.column_stack([law.integ()(times) - law.integ()(times[0]) for law in laws])
-    integrals = np.vstack([np.zeros(2), np.cumsum(_integrals(_rule(times), rates[:, None])[:, 0], axis=0)])
+    parts = _integrals(_rule(times, np.zeros(count - 1, bool)), rates[:, None])[:, 0]
+    integrals = np.vstack([np.zeros(2), np.cumsum(parts, axis=0)])
     assert np.abs(integrals - wanted).max() < 1e-10 * (1 + np.abs(wanted).max())

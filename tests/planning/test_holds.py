@@ -64,6 +64,9 @@ def assert_held(plan):
         assert np.ptp(still.positions, axis=0).max() < TIGHT
         assert np.ptp(still.orientations, axis=0).max() < TIGHT
         assert np.abs(still.twists).max() < TIGHT
+        if iterate.transcription.vehicle.group.planar and not np.any(iterate.request.wind):  # else it drives
+            for name, values in still.channels.items():
+                assert np.ptp(values) < 1e-5, name
         assert np.ptp(c[first : last + 1] / iterate.transcription.control_scale, axis=0).max(initial=0.0) < TIGHT
         z = np.ravel(np.asarray(iterate.transcription.mechanics.knot_velocity_guess(r[first], pi[first], c[first])))
         run = execute(

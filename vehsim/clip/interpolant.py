@@ -39,6 +39,8 @@ S = TypeVar("S", bound="Samples")
 
 SAME = 1e-11
 """Times closer than this, s, are equal."""
+JUMP = 0.01
+"""An interval shorter than this share of both neighbours is a jump."""
 
 
 def interpolate(clip: S, times: Array) -> S:
@@ -144,8 +146,21 @@ def _rotations(s: Array, h: Array, qa: Array, qb: Array, wa: Array, wb: Array) -
 
 def monotone(x: Array, y: Array, at: Array) -> Array:
     """The monotone piecewise cubic through ``y`` (n, ...) of Fritsch and Butland (1984), the same as scipy's PCHIP,
-    whose import takes as long as baking a clip."""
+    whose import takes as long as baking a clip.
+
+    Where knots are so close that values jump, as where a motion is cut off, either side has its own slope.
+    """
     h, v = np.diff(x), y.reshape(len(y), -1)
+    jumps = np.flatnonzero((h[1:-1] < JUMP * h[:-2]) & (h[1:-1] < JUMP * h[2:])) + 2
+    rates = np.vstack([_rates(*run) for run in zip(np.split(x, jumps), np.split(v, jumps), strict=True)])
+    k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(h) - 1)
+    value, _ = _hermite((at - x[k]) / h[k], h[k], v[k], v[k + 1], rates[k], rates[k + 1])
+    return value.reshape(len(at), *y.shape[1:])
+
+
+def _rates(x: Array, v: Array) -> Array:
+    """The slopes (n, m) of the monotone cubic at its knots."""
+    h = np.diff(x)
     slopes = np.diff(v, axis=0) / h[:, None]
     rates = np.repeat(slopes[:1], len(x), axis=0)
     if len(x) > 2:
@@ -154,9 +169,7 @@ def monotone(x: Array, y: Array, at: Array) -> Array:
             rates[1:-1] = np.where(before * after > 0, (a + b) / (a / before + b / after), 0.0)
         rates[0] = _end_rate(h[0], h[1], slopes[0], slopes[1])
         rates[-1] = _end_rate(h[-1], h[-2], slopes[-1], slopes[-2])
-    k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(h) - 1)
-    value, _ = _hermite((at - x[k]) / h[k], h[k], v[k], v[k + 1], rates[k], rates[k + 1])
-    return value.reshape(len(at), *y.shape[1:])
+    return rates
 
 
 def _end_rate(h0: float, h1: float, slope: Array, inner: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -67,7 +68,8 @@ def build_clips(
     count = 2 + len(rates) + len(drives)
     widths = [3, 4, d, s, s, 2, count, len(vehicle.channels) - len(rates), len(steered) * controls.shape[2]]
     powers, gradients = (np.split(rows, np.cumsum(widths[:-1]), axis=2)[k].transpose(1, 0, 2) for k in (6, 8))
-    rule = _rule(times)
+    pose = phases[:, :, : vehicle.group.size + s]
+    rule = _rule(times, np.abs(np.diff(pose, axis=1)).max(axis=(0, 2), initial=0.0) < STILL)
     parts = _integrals(rule, powers)
     if steered:
         by_power = gradients.reshape(n, m, len(steered), -1)
@@ -136,7 +138,8 @@ def _record(mechanics: DiscreteMechanics) -> tuple[ca.Function, list[int]]:
 
 
 Rule = tuple[NDArray[np.intp], Array]
-"""Six neighbours (n - 1, 6) of every interval, and their weights in the integral over it, s."""
+"""Up to six neighbours (n - 1, 6) of every interval, and their weights in the integral over it, s; others weigh
+nothing."""
 
 
 def _integrals(rule: Rule, rates: Array) -> Array:
@@ -162,9 +165,30 @@ def _corrections(rule: Rule, times: Array, gradients: Array, controls: Array) ->
     return total
 
 
-def _rule(times: Array) -> Rule:
-    """The integrals of the polynomials through every six neighbours."""
-    count = min(6, len(times))
+UNEVEN = 3.0
+"""Ratio of neighbouring intervals above which no polynomial passes through knots on both sides: it would swing."""
+STILL = 1e-7
+"""Changes of poses and joints over an interval in which nothing moves, m and rad."""
+
+
+def _rule(times: Array, still: NDArray[np.bool_]) -> Rule:
+    """The integrals of the polynomials through every six neighbours; ``still`` (n - 1,): where nothing moves.
+
+    Polynomials end where a hold begins or ends: through knots on both sides, wheels would turn in it.
+    """
+    h = np.diff(times)
+    ratio = h[1:] / h[:-1]
+    cuts = np.flatnonzero((ratio > UNEVEN) | (ratio < 1 / UNEVEN) | (still[1:] != still[:-1])) + 1
+    near, weights = np.zeros((len(h), 6), np.intp), np.zeros((len(h), 6))
+    for first, end in pairwise([0, *cuts, len(h)] if len(h) else []):
+        count = min(6, end - first + 1)
+        neighbours, weights[first:end, :count] = _even_rule(times[first : end + 1], count)
+        near[first:end, :count] = first + neighbours
+    return near, weights
+
+
+def _even_rule(times: Array, count: int) -> Rule:
+    """The integrals of the polynomials through every ``count`` neighbours."""
     first = np.clip(np.arange(len(times) - 1) - 2, 0, len(times) - count)[:, None]
     near, h = first + np.arange(count), np.diff(times)[:, None]
     s = (times[near] - times[:-1, None]) / h  # 0 to 1 over the interval
