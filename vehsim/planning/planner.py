@@ -64,6 +64,9 @@ THROUGH = "it passes through what it must avoid: make room, move the marks, or s
 """Remedies for a motion that keeps too little clearance, and for one that keeps none."""
 LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initial guess; {LONGER}"
 """The message of a plan that ran out of time before the first solve, and the step that used the time."""
+TOO_SOON = "the marks leave too little time for {}; give later frames"
+TOO_NEAR = "the marks leave too little room for {}; move them apart, or give lower speeds"
+"""Why a motion is driven in a harder character than the request's; where the planner chooses all frames, later."""
 FINER, MOST = 4, 256
 """Factor by which the number of segments grows if the controls lead elsewhere, and the largest number."""
 TELLING = 32
@@ -286,7 +289,8 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
     if traits is request.traits:
         return made
     assert made._iterate is not None and made._run is not None
-    found, why = made._iterate.request.traits.name, "the marks leave too little time for {}; give later frames"
+    found = made._iterate.request.traits.name
+    why = TOO_NEAR if all(mark.frame == "free" for mark in request.marks[1:]) else TOO_SOON
     late = made._run.deadline.late
     if made.success and not late and not _is_too_hard(made._run, replace(made._iterate, request=request)):
         # the requested character only began from a worse guess, such as to turn round instead of reversing

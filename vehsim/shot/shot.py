@@ -408,6 +408,9 @@ class Shot:
             message = f"{table.name} has no drag, so wind has no effect"
             remedy = "add drag to its vehicle.toml, or remove the wind"
             yield Problem("world.wind", message, remedy, self.file.world.wind, severity="warning")
+        if world.water is None and vehicle.hull is not None:
+            message = f"{table.name} moves level in the plane, and pictures show no water"
+            yield Problem("world.water", message, "add [world.water]", severity="warning")
 
     def _check_header(self) -> Iterator[Problem]:
         header = self.file.shot
