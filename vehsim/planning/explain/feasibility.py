@@ -36,7 +36,7 @@ from vehsim.vehicles.definition.surfaces import SURFACES
 Array = NDArray[np.float64]
 
 DRIFT = 2e-3
-"""Farthest creep during a hold, m: the audit's tolerance of its drift."""
+"""Farthest creep during a hold when its controls are executed, m: less than can be seen. The planned hold stands."""
 
 
 @dataclass(frozen=True)
