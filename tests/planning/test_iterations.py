@@ -5,19 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import vehsim
 from vehsim import Mark
 from vehsim.audit import track_of_clip
-from vehsim.planning import iterate, planner
+from vehsim.planning import iterate, planner, solve
 from vehsim.planning.constraints.dynamics import equations
+from vehsim.planning.costs import RunningCosts
 from vehsim.planning.guesses.routes import find_paths
 from vehsim.planning.problem import solver
 from vehsim.planning.problem.solver import FAR, FIRST, curvature
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.request import make_request
 from vehsim.runtime.progress import silent
+from vehsim.world.terrain.terrain import Terrain
 
 REST = (0.0, 0.0, 0.0)
 
@@ -32,6 +35,30 @@ def test_a_hessian_that_must_be_made_convex_takes_few_iterations():
     boat = vehsim.plan(vehsim.load_vehicle("boat"), None, marks((1, 0, 0, 0), (1003, 65, 39, 3)))
     assert truck.success and truck.iterations < 25
     assert boat.success and boat.iterations < 30
+
+
+def test_a_flight_that_presses_on_its_character_is_solved_within_it_at_once(monkeypatch):
+    """It was solved without the limits first, and then again; to the same motion."""
+    x, y = np.meshgrid(np.arange(-120, 121, 4.0), np.arange(-60, 61, 4.0))
+    hill = 22 * np.exp(-(x**2 + y**2) / (2 * 22**2)) + 3 * np.sin(x / 15) * np.sin(y / 11)
+    world = vehsim.World(terrain=Terrain("hill", hill, (-120.0, -60.0), (4.0, 4.0)))
+    ends = [Mark(frame, position=(x, 0, 14), velocity=REST) for frame, x in ((1, -70), (361, 70))]
+    helicopter, soft = vehsim.load_vehicle("helicopter"), []
+    solving = solve._answer
+
+    def answer(run, iterate, *more):
+        soft.append(iterate.block(RunningCosts).restrained)
+        return solving(run, iterate, *more)
+
+    monkeypatch.setattr(solve, "_answer", answer)
+    once = vehsim.plan(helicopter, world, ends)
+    assert all(soft)
+    soft.clear()
+    monkeypatch.setattr(planner, "PRESSED", (np.inf, np.inf))
+    twice = vehsim.plan(helicopter, world, ends)
+    assert soft[:2] == [False, True] and once.iterations < twice.iterations
+    assert once.success and once.character == "normal" and once.cost == pytest.approx(twice.cost, rel=1e-5)
+    np.testing.assert_allclose(once.clip.positions, twice.clip.positions, atol=1e-3)
 
 
 def test_a_hurried_boat_takes_few_iterations():

@@ -210,6 +210,7 @@ def test_a_motion_near_a_stunt_takes_the_place_of_an_unfinished_one_if_it_is_as_
     monkeypatch.setattr(planner, "without_character", lambda *_: stunt)
     monkeypatch.setattr(planner, "nearby", lambda *_: near)
     monkeypatch.setattr(planner, "_is_too_hard", lambda *_: False)
+    monkeypatch.setattr(planner, "_pressed", lambda *_: False)
     made = planner._quickly(None, begun, None)
     assert made == {"near": (near, None), "begun": (begun, stunt)}[found]
 

@@ -89,6 +89,9 @@ WORSE = 3.0
 as little as possible."""
 QUICK = Patience(60, near=1e-2)
 """That of a solve in a character, after which it is compared with a stunt."""
+PRESSED = 1.2, 3.0
+"""Ratios of a flight's guess to a limit of its character between which it is solved within the limits at once, which
+otherwise takes a second solve. Below, it stays within them anyway; above, this takes more iterations."""
 AS_GOOD = 1.01
 """Ratio of the cost of a motion near a stunt to that of one that this patience leaves unfinished, up to which it takes
 the other's place: more iterations would hardly improve it."""
@@ -579,7 +582,7 @@ def _quickly(run: Run, begun: Iterate, guess: InitialGuess) -> tuple[Iterate, It
     Raises `_TooHard` if it is too hard even near the motion of the stunt, which is found at once where marks leave too
     little time for the character. Where the unfinished motion is softer than that, it goes another way.
     """
-    quick = solve(run, begun, QUICK)
+    quick = solve(run, restrained(begun) if _pressed(begun) else begun, QUICK)
     if quick.success:
         return quick, None
     stunt = without_character(run, begun, guess)
@@ -590,6 +593,12 @@ def _quickly(run: Run, begun: Iterate, guess: InitialGuess) -> tuple[Iterate, It
     if near.success and near.solution.cost <= AS_GOOD * quick.solution.cost:
         return near, None
     return begun, stunt
+
+
+def _pressed(begun: Iterate) -> bool:
+    """Whether a guess exceeds its character so far that a motion will press on its limits."""
+    least, most = PRESSED
+    return not begun.request.vehicle.group.planar and least < _strain(begun, begun.request) < most
 
 
 def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:
