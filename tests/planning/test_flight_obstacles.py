@@ -402,6 +402,26 @@ def test_a_mark_in_a_slot_that_only_the_hulls_fit(helicopter, character):
         vehsim.plan(helicopter, slot(11.0), marks, **options)
 
 
+def test_the_surface_is_measured_only_where_a_sphere_is_near(helicopter):
+    """In a canyon, a seventh of it; there, at its points nearest to the rock, elsewhere it counts as the sphere."""
+    from vehsim.lie import SO3
+    from vehsim.planning.constraints.clearance import SIGHT, Clearance, SphereCover
+    from vehsim.planning.constraints.spheres import sphere_cover, surface_by_sphere
+
+    world, marks = slot(30.0), [Mark(1, position=(-20, 0, 12)), Mark(100, position=(20, 0, 12))]
+    field = world.distance_field(box=np.array([[-60, -20, -5], [60, 20, 60.0]]))
+    cover = SphereCover(field, *sphere_cover(helicopter))
+    block = Clearance(make_request(helicopter, world, marks, fps=24, segments=16), cover, 1.0)
+    places, (points, first) = np.array([(-15.0, 3, 12), (0, -4, 15), (8, 2, 10)]), surface_by_sphere(helicopter)
+    R = SO3.matrix(np.tile([0.8, 0, 0, 0.6], (3, 1)))
+    spheres = block._spheres(field, places, R)
+    near = spheres < block.required + SIGHT
+    assert 0 < near.mean() < 1
+    found = block._surface(spheres, places, R)
+    whole = [np.minimum.reduceat(field.value(p + points @ turn.T), first) for p, turn in zip(places, R, strict=True)]
+    np.testing.assert_allclose(found, np.where(near, whole, spheres), atol=1e-12)
+
+
 def test_the_surface_in_the_spheres_is_as_far_away_as_the_hulls(helicopter):
     """Points on the surface against MuJoCo's distances of the hulls, at poses beside a wall."""
     from vehsim.lie import SO3

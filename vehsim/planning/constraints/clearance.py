@@ -287,7 +287,8 @@ class Clearance(Block):
         if self.cover is None or self.cover.static is None:
             return self
         positions, rotations = self._poses(trajectory)
-        more = self._surface(positions, rotations) - self._spheres(self.cover.static, positions, rotations)
+        spheres = self._spheres(self.cover.static, positions, rotations)
+        more = self._surface(spheres, positions, rotations) - spheres
         return replace(self, spare=np.maximum(more, 0.0))
 
     def presses(self, trajectory: Trajectory) -> bool:
@@ -346,13 +347,19 @@ class Clearance(Block):
         for away, position, R in zip(spheres, positions, rotations, strict=True):
             yield all(value(position + parts[k] @ R.T).min() > room for k in np.flatnonzero(away <= room))
 
-    def _surface(self, positions: Array, rotations: Array) -> Array:
-        """Distance of the vehicle's surface in every sphere from everything at rest, (places, k) m."""
+    def _surface(self, spheres: Array, positions: Array, rotations: Array) -> Array:
+        """Distance of the vehicle's surface in every sphere from everything at rest, (places, k) m; that of ``spheres``
+        (places, k) m beyond the reach of the constraint instead, where it is not measured."""
         assert self.cover is not None and self.cover.static is not None
         points, first = surface_by_sphere(self.request.vehicle)
-        value = self.cover.static.value
-        found = [np.minimum.reduceat(value(p + points @ R.T), first) for p, R in zip(positions, rotations, strict=True)]
-        return np.array(found).reshape(-1, len(first))
+        parts, value, found = np.split(points, first[1:]), self.cover.static.value, spheres.copy()
+        for away, position, R in zip(found, positions, rotations, strict=True):
+            near = np.flatnonzero(away < self.required + SIGHT)
+            if len(near):
+                starts = np.cumsum([0, *(len(parts[k]) for k in near[:-1])])
+                there = position + np.vstack([parts[k] for k in near]) @ R.T
+                away[near] = np.minimum.reduceat(value(there), starts)
+        return found
 
     def prolongate(self, coarse: Trajectory, fine: Trajectory) -> Clearance:
         if self.cover is None or self.cover.static is None or self.costs:
