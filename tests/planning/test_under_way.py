@@ -71,6 +71,27 @@ def test_a_heading_along_the_velocity_begins_without_a_spin(asset, speed, place,
     assert np.degrees(np.abs(plan.clip.twists[:, 0])).max() < 20.0
 
 
+def first_slips(clip) -> np.ndarray:
+    """Longitudinal slips of all wheels in the first three frames (3, 4)."""
+    frames = clip.resample()
+    return np.array([frames.channels[f"slip_ratio_{wheel}"][:3] for wheel in ("fl", "fr", "rl", "rr")]).T
+
+
+@pytest.mark.parametrize("heading", [0.0, None])
+def test_a_stunt_begins_in_balance(heading):
+    """It began with 49 and 89 degrees of yaw per second, which its tyres stopped, and with spun-up wheels."""
+    ends = [
+        Mark(1, position=(0, 0, 0), velocity=(13, 0, 0), heading=heading),
+        Mark(97, position=(40, 6, 0), velocity=(0, 0, 0), heading=heading),
+    ]
+    clip = vehsim.plan(vehsim.load_vehicle("drift_car"), None, ends, character="stunt").clip
+    early = clip.times <= 0.15
+    change = np.polyfit(clip.times[early], clip.twists[early], 1)[0]
+    assert np.abs(change[[0, 2]]).max() < 1.5
+    assert np.abs(slip(clip, 0, 6)).max() < 1.0
+    assert np.abs(np.diff(first_slips(clip), axis=0)).max() < 0.01
+
+
 def rolls(clip) -> np.ndarray:
     """Roll, deg, right side down."""
     w, x, y, z = clip.orientations.T
@@ -150,10 +171,11 @@ def easing(first: Mark, vehicle: str = "drift_car", **more) -> Easing:
         ({"speed": 9.0, "heading": 20.0}, "normal", True),
         ({"velocity": (0, 0, 0)}, "normal", False),
         ({"speed": 0.0}, "normal", False),
-        ({"velocity": (9, 0, 0)}, "stunt", False),
+        ({"velocity": (9, 0, 0)}, "stunt", True),
+        ({"velocity": (9, 0, 0), "heading": 20.0}, "stunt", False),
     ],
 )
-def test_a_slide_rest_and_stunts_leave_the_slip_free(more, character, expected):
+def test_a_slide_and_rest_leave_the_slip_free(more, character, expected):
     assert easing(Mark(1, position=(0, 0, 0), **more), character=character).steady == [0] * expected
 
 

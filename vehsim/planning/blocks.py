@@ -30,7 +30,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     aims, traits = [term for term in constraints if term.aim is not None], request.traits
     weights, limits = traits.weights(request.weights), traits.without(request.limits)
     blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
-    steady = [] if traits.name == STUNT or request.loop else steady_marks(request.vehicle, marks)
+    steady = [] if request.loop else steady_marks(request.vehicle, marks, traits)
     asks_turns = bool(costs_of(HazardView, weights)) or any(isinstance(term, Cost) for term in request.terms)
     blocks.append(Easing(weights, traits, marks, steady, straight=not asks_turns, looks=aims))
     blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))

@@ -28,7 +28,9 @@ from vehsim.planning.terms import COSTS, BendView, Constraint, costs_of, weight_
 from vehsim.planning.trajectory import Trajectory
 from vehsim.planning.trim import flies, is_pushed
 from vehsim.vehicles import Vehicle
-from vehsim.vehicles.definition.mechanics import acceleration
+from vehsim.vehicles.definition.character import STUNT
+from vehsim.vehicles.definition.gripping import rolling_ahead
+from vehsim.vehicles.definition.mechanics import acceleration, momentum
 
 Array = NDArray[np.float64]
 
@@ -40,8 +42,12 @@ ASKED = 0.02
 the turn would save effort of the tail rotor, a thousandth, and lead up to a metre aside on a straight way."""
 NEAREST = 1.0
 """Distance from a place, m, below which the direction to it does not count: overhead it turns at any rate."""
-STEADY = 10.0
-"""Price of x^2 where what slides begins to move; x: accelerations sideways, m/s^2, and in yaw, rad/s^2."""
+STEADY, IN_STUNTS = 10.0, 0.1
+"""Price of x^2 where what slides begins to move, and that in a stunt, whose other costs are lower; x: accelerations
+sideways, m/s^2, and in yaw, rad/s^2."""
+SPUN = 1.0
+"""Price of x^2 there; x: the acceleration, m/s^2, that wheels give the vehicle as their slips change. Without it they
+are spun up before the first frame, and tyres turn that into speed."""
 STRAIGHT = np.radians(5.0)
 """The largest angle between the nose and the velocity at a mark that is no slide, rad."""
 REST, ABRUPT = 6e3, 0.05
@@ -78,7 +84,8 @@ class Easing(Block):
         ground = tuple(mark.on_ground for mark in self.marks)
         ends, rates = tuple(eased(self.traits, self.marks)), self._rates(transcription).tobytes()
         looked = tuple(self._looked(layout))
-        return "easing", self.names, ends, ground, rates, tuple(self.steady), self.straight, looked
+        steady = (*self.steady, self.traits.name == STUNT)
+        return "easing", self.names, ends, ground, rates, steady, self.straight, looked
 
     def _looked(self, layout: Layout) -> dict[int, Array]:
         """The places (3,) m at which a heading points at steady marks, by the number of the mark."""
@@ -121,7 +128,7 @@ class Easing(Block):
                 element = coordinated_element(transcription, self.traits.price, self.straight, i in looked)
                 given = {"place": problem.parameter(f"look at mark[{i}]", 3)} if i in looked else {}
             else:
-                element = steady_element(transcription, self.traits.price)
+                element = steady_element(transcription, self.traits)
             problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), given)
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
@@ -170,12 +177,13 @@ def balance_element(transcription: Transcription, price: float, on_ground: bool 
     return transcription.kept(("balance", price, on_ground), make)
 
 
-def steady_marks(vehicle: Vehicle, marks: Sequence[Mark]) -> list[int]:
-    """Indices of the marks at which a motion that is no loop begins or ends steadily: a flight at both ends where it
-    moves with a free attitude, a vehicle that slides where it begins to move and its mark asks for no slip."""
+def steady_marks(vehicle: Vehicle, marks: Sequence[Mark], traits: Traits) -> list[int]:
+    """Indices of the marks at which a motion that is no loop begins or ends steadily: a flight that is no stunt at both
+    ends where it moves with a free attitude, a vehicle that slides where it begins to move and its mark asks for no
+    slip."""
     ends = [i for i in (0, len(marks) - 1) if marks[i].moves]
     if flies(vehicle) and is_pushed(vehicle):
-        return [i for i in ends if marks[i].orientation is None]
+        return [i for i in ends if marks[i].orientation is None and traits.name != STUNT]
     return [i for i in ends if i == 0 and not _slips(marks[i])] if slides(vehicle) else []
 
 
@@ -194,19 +202,22 @@ def slides(vehicle: Vehicle) -> bool:
     return vehicle.group.name == "SE2" and free == vehicle.group.dim
 
 
-def steady_element(transcription: Transcription, price: float) -> Element:
-    """The cost of accelerations sideways, in body axes, and in yaw: (x, c).
+def steady_element(transcription: Transcription, traits: Traits) -> Element:
+    """The cost of accelerations sideways, in body axes, and in yaw, and of wheels that slip more or less: (x, c).
 
     They vanish in a steady bend. A motion with a free heading would otherwise begin with a slide, on which the water or
-    the road then pushes it to its next mark.
+    the road then pushes it to its next mark; one with a given heading would begin with a turn that they stop.
     """
 
     def make() -> Element:
-        v = transcription.symbols("x", "c0")
-        _, rates = _motion(transcription, v)
-        return _at_knot(transcription, v, price * STEADY * ca.sumsqr(ca.vertcat(rates[0], rates[2])))
+        v, vehicle = transcription.symbols("x", "c0"), transcription.vehicle
+        z, rates = _motion(transcription, v)
+        spun = _spun(vehicle, transcription.split(v["x"])[1], z, rates)
+        f = steady * (rates[0] ** 2 + rates[2] ** 2) + SPUN * ca.sumsqr(spun)
+        return _at_knot(transcription, v, traits.price * f)
 
-    return transcription.kept(("steady", price), make)
+    steady = IN_STUNTS if traits.name == STUNT else STEADY
+    return transcription.kept(("steady", steady, traits.price), make)
 
 
 def coordinated_element(transcription: Transcription, price: float, straight: bool, looks: bool = False) -> Element:
@@ -220,7 +231,7 @@ def coordinated_element(transcription: Transcription, price: float, straight: bo
     def make() -> Element:
         v, group = transcription.symbols("x", "c0"), transcription.vehicle.group
         g = transcription.split(v["x"])[0]
-        z, rates = _motion(transcription, v)
+        z, rates = (each[: group.dim] for each in _motion(transcription, v))
         t, zero = ca.SX.sym("t"), ca.SX.zeros(1)
         twist = group.velocity_to_body(group.compose(g, group.cay(t * z)), z + t * rates)
         twist, change = (ca.substitute(each, t, zero) for each in (twist, ca.jacobian(twist, t)))
@@ -240,13 +251,30 @@ def coordinated_element(transcription: Transcription, price: float, straight: bo
 
 
 def _motion(transcription: Transcription, v: dict[str, Any]) -> tuple[Any, Any]:
-    """The group's own velocity (d,) at a knot (x, c0) of a vehicle that moves freely, and its rate of change."""
+    """The free velocity (d + s_d,) at a knot (x, c0) of a vehicle that moves freely, and its rate of change."""
     vehicle = transcription.local_in_air[1]
     g, r, pi = transcription.split(v["x"])
     controls = v["c0"] * transcription.control_scale
     z = transcription.mechanics.knot_velocity_guess(r, pi, controls)
     rates = acceleration(vehicle, g, r, z, controls, ca.SX.zeros(controls.shape[0]), transcription.air["wind"])
-    return z[: vehicle.group.dim], rates[: vehicle.group.dim]
+    return z, rates
+
+
+def _spun(vehicle: Vehicle, r: Any, z: Any, rates: Any) -> Any:
+    """How fast the slips of wheels grow (n,), as the acceleration, m/s^2, that the wheels' inertia would give the
+    vehicle; none for wheels that never slip."""
+    rolls = rolling_ahead(vehicle, r)
+    if rolls is None:
+        return ca.SX(0, 1)
+    assert vehicle.rolling is not None
+    inertia = momentum(vehicle, r, *rolls)
+    mass = sum(ca.dot(*pair) for pair in zip(rolls, inertia, strict=True))
+    twist = ca.SX.sym("twist", vehicle.group.dim)
+    rolled = ca.jtimes(vehicle.rolling(r, twist), twist, rates[: vehicle.group.dim])
+    rolled = ca.substitute(rolled, twist, z[: vehicle.group.dim])
+    spin = rates[z.shape[0] - len(vehicle.dynamic) :]
+    wheels = [(k, joint) for k, joint in enumerate(vehicle.dynamic) if not rolls[0][joint].is_zero()]
+    return ca.vertcat(*((spin[k] - rolled[joint]) * inertia[0][joint] / mass for k, joint in wheels))
 
 
 def _at_knot(
