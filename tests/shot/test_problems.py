@@ -188,10 +188,13 @@ def test_a_hold_with_an_orientation_suggests_its_heading(planned: dict[str, Any]
     assert "give heading = 60 instead of orientation" in keys_of(planned)["vehicle[0].motion.mark[1].hold"]
 
 
-def test_landing_on_uneven_ground_is_a_warning_with_its_key(planned: dict[str, Any]) -> None:
+@pytest.mark.parametrize("hold", [0, 10])
+def test_landing_on_uneven_ground_is_a_warning_with_its_key(planned: dict[str, Any], hold: int) -> None:
+    """A hold is two marks: it was said of both."""
     mark = planned["vehicle"][0]["motion"]["mark"][1]
     ground = float(Shot.from_dict(planned).world.height([(20.0, 0.0)])[0])
-    mark |= {"position": [20.0, 0.0, ground + 1.0], "heading": 0.0, "on_ground": True}
+    mark |= {"position": [20.0, 0.0, ground + 1.0], "heading": 0.0, "on_ground": True, "hold": hold}
+    mark.pop("velocity", None)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a problem, not a warning without a place
         (problem,) = [p for p in Shot.from_dict(planned).check() if p.key.endswith("on_ground")]

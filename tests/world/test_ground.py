@@ -370,6 +370,9 @@ def test_a_car_does_not_stand_on_a_wall():
     ends = [Mark(1, position=(10, 0, 0), heading=0, velocity=rest), Mark(97, position=(5, 0, 0))]
     with pytest.raises(InputError, match=r"mark\[0\].position.*cannot stand there"):
         vehsim.plan(CAR, world, ends)
+    with pytest.raises(InputError) as wrong:
+        make_request(CAR, world, [ends[0], replace(ends[0], frame=97)], fps=24, segments=8)
+    assert [problem.key for problem in wrong.value.problems] == ["mark[0].position", "mark[1].position"]
     near = [replace(ends[0], tolerance=3.0), ends[1]]  # but beside it
     make_request(CAR, world, near, fps=24, segments=8)
 

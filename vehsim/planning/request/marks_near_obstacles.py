@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.errors import InputError
+from vehsim.errors import InputError, Problem
 from vehsim.planning.certificates import FINEST
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.landing import attitude, forgiven
@@ -94,10 +94,15 @@ def at_level(world: Any, vehicle: Vehicle, marks: Sequence[Any]) -> Any:
 
 
 def check_marks_clear(vehicle: Vehicle, world: Any, marks: Sequence[Mark], clearance: float, fps: Any) -> None:
-    """Raise ``InputError`` for the first of `marks_too_near`."""
-    for i, message, remedy in marks_too_near(vehicle, world, marks, clearance, fps):
-        place = np.asarray(marks[i].position, float).tolist()
-        raise InputError(message, remedy, key=f"{marks[i].name}.position", value=place)
+    """Raise ``InputError`` for all of `marks_too_near`."""
+    wrong = {  # a hold is two marks with one name
+        marks[i].name: Problem(
+            f"{marks[i].name}.position", message, remedy, np.asarray(marks[i].position, float).tolist()
+        )
+        for i, message, remedy in marks_too_near(vehicle, world, marks, clearance, fps)
+    }
+    if wrong:
+        raise InputError.of(*wrong.values())
 
 
 def marks_too_near(

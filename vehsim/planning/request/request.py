@@ -337,9 +337,9 @@ def afloat(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> Sequence[Mark
 
 
 def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
-    """Raise ``InputError`` for a mark where a vehicle with wheels cannot stand, such as on a wall of rock; without a
+    """Raise ``InputError`` for all marks where a vehicle with wheels cannot stand, such as on a wall of rock; without a
     heading, at none of some. Warn of a height far from the ground, on which it stands: 0 is no height there."""
-    terrain = None if world is None else world.terrain
+    terrain, wrong = None if world is None else world.terrain, dict[str, Problem]()
     for mark in marks if vehicle.group.planar else ():
         if mark.position is None:
             continue
@@ -351,7 +351,9 @@ def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
         if not _can_stand(vehicle, world, mark):
             place = [float(x) for x in mark.position]
             message = f"{vehicle.name} cannot stand there: the ground is too steep or too rough"
-            raise InputError(message, "move the mark to gentler ground", key=f"{mark.name}.position", value=place)
+            wrong[mark.name] = Problem(f"{mark.name}.position", message, "move the mark to gentler ground", place)
+    if wrong:
+        raise InputError.of(*wrong.values())
 
 
 def _can_stand(vehicle: Vehicle, world: Any, mark: Mark) -> bool:

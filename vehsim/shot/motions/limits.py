@@ -141,19 +141,22 @@ def check_request(
     from vehsim.planning.explain.feasibility import refusals
     from vehsim.planning.request.request import make_request
 
+    request, wrong = None, list[Problem]()
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             warnings.simplefilter("ignore", OutsideTerrain)  # already reported with its place
             request = make_request(vehicle, context.world, marks, fps=context.fps, **options)
     except InputError as error:
-        yield from (problem if problem.key else problem.seen_from("mark") for problem in error.problems)
-        return
+        wrong = [problem if problem.key else problem.seen_from("mark") for problem in error.problems]
     for warning in caught:
-        if isinstance(warning.message, Caution):
-            yield warning.message.problem
-        else:
+        if not isinstance(warning.message, Caution):
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+        elif warning.message.problem not in wrong:  # a hold is two marks with one name
+            wrong.append(warning.message.problem)
+    yield from wrong
+    if request is None:
+        return
     for refusal in refusals(request):
         value = getattr(refusal.mark, refusal.key) if refusal.value is None else refusal.value
         key = f"{refusal.mark.name}.{refusal.key}"
