@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.audit import PER_FRAME, Row, Scene, Track, audit, missed, not_shown, track_of_poses
+from vehsim.audit.scene import rolling_wheels
 from vehsim.delivery.reports import reading_report
 from vehsim.errors import ExportError, InputError
 from vehsim.exporters.usd.metadata import Units
@@ -87,6 +88,31 @@ def joints_in_rig(clip: Clip) -> dict[str, dict[str, Any]]:
     return found
 
 
+def wheels_in_rig(clip: Clip) -> dict[str, dict[str, Any]]:
+    """How the rig shows the wheels that roll: prim below the root -> the ``op`` that turns it, its ``turn`` forwards
+    per unit of the op, rad, and in the prim's own axes and units its ``centre`` (3,) and ``axle`` (3,) to the left.
+    """
+    from vehsim.exporters.usd.readback import expected_matrices
+    from vehsim.rig.ops import drive_op
+
+    rig = clip.vehicle.rig
+    assert rig is not None
+    first = replace(clip.at(clip.times[:1]), energy={})
+    rest = replace(first, channels={name: np.zeros(1) for name in first.channels})
+    T_rw, T_wp, found = np.linalg.inv(first.matrices()[0]), expected_matrices(rest), {}
+    for wheel in rolling_wheels(rig):
+        drive, T_pr = rig.drives[wheel["channel"]], np.linalg.inv(T_rw @ T_wp[wheel["prim"]][0])
+        op, units = drive_op(drive.op)
+        found[wheel["prim"]] = {
+            "prim": wheel["prim"],
+            "op": op,
+            "turn": wheel["gain"] / (units * drive.factor),
+            "centre": _moved(T_pr, np.array([wheel["centre"]]))[0].tolist(),
+            "axle": (T_pr[:3, :3] @ wheel["axle"]).tolist(),
+        }
+    return found
+
+
 class Delivered:
     """A stage opened for auditing. Times are whole frames and eighths of frames between ``first`` and ``last``."""
 
@@ -123,13 +149,17 @@ class Delivered:
 
     def _joint(self, root: Any, how: Mapping[str, Any], frames: Array) -> Array:
         """A joint (n,) at ``frames``, from the op that shows it; one without values rests at zero."""
+        values = self.op(root, how, frames)
+        return _through(np.array(how["values"], float), np.array(how["joint"], float), values)
+
+    def op(self, root: Any, how: Mapping[str, Any], frames: Array) -> Array:
+        """The values (n,) at ``frames`` of the ``op`` of a ``prim`` below a vehicle's; one without values is zero."""
         prim, axis = root.GetPrimAtPath(how["prim"]) if how["prim"] else root, slide_axis(how["op"])
         op = prim.GetAttribute(how["op"])
         if axis is None or not op:  # the variant of curves has numbers
             op, axis = prim.GetAttribute(scalar_op(how["op"])), None
         values = np.array([op.Get(frame) if op else 0.0 for frame in frames.tolist()], float)
-        values = values if axis is None else values[:, axis]
-        return _through(np.array(how["values"], float), np.array(how["joint"], float), values)
+        return values if axis is None else values[:, axis]
 
     def meshes(self, scope: Any) -> Iterable[Any]:
         """The meshes and shapes at and below a prim, including instances."""
@@ -162,9 +192,14 @@ class StageScene(Scene):
     """
 
     def __init__(
-        self, delivered: Delivered, name: str, moving: Sequence[str] = (), progress: Progress = silent
+        self,
+        delivered: Delivered,
+        name: str,
+        moving: Sequence[str] = (),
+        progress: Progress = silent,
+        wheels: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     ) -> None:
-        self.delivered, self.name = delivered, name
+        self.delivered, self.name, self._wheels = delivered, name, wheels
         self._others, self._progress = moving, progress
 
     @cached_property
@@ -215,6 +250,16 @@ class StageScene(Scene):
             ]
         )
         return np.asarray(np.take_along_axis(gaps, np.abs(gaps).argmax(axis=0)[None], axis=0)[0])
+
+    def wheel(self, track: Track, wheel: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+        how = self._wheels.get(wheel["prim"])
+        if how is None:
+            return super().wheel(track, wheel)
+        prim = self._root.GetPrimAtPath(wheel["prim"])
+        T_wp = np.array([self.delivered.world_matrix(prim, frame) for frame in track.frames.tolist()])
+        axles = T_wp[:, :3, :3] @ np.asarray(how["axle"])
+        turned = how["turn"] * self.delivered.op(self._root, how, track.frames)
+        return _moved(T_wp, np.array([how["centre"]]))[:, 0], axles / np.linalg.norm(axles, axis=1)[:, None], turned
 
     def _treads(self, prims: Sequence[str]) -> list[list[tuple[Any, Array]]]:
         """For each wheel its meshes with the points (n, 3), in their own units, that can touch the ground."""
@@ -340,6 +385,9 @@ class _Blind(Scene):
 
     def wheel_gap(self, track: Track, prims: Sequence[str]) -> Array:
         return self.scene.wheel_gap(track, prims)
+
+    def wheel(self, track: Track, wheel: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+        return self.scene.wheel(track, wheel)
 
 
 class _Solid:
@@ -583,6 +631,7 @@ def audit_stage(
         requests = {name: [_ask(row) for row in rows] for name, rows in report["audit"].items()}
         roots = {name: np.array(report["vehicles"][name]["T_rp"], float) for name in requests}
         joints = {name: report["vehicles"][name].get("joints", {}) for name in requests}
+        wheels = {name: report["vehicles"][name].get("wheels", {}) for name in requests}
         moving = {name: _moving(report["vehicles"][name], first, last) for name in requests}
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError(f"report.json holds no asks ({error!r})", "export the shot again", file=path.parent) from None
@@ -590,7 +639,7 @@ def audit_stage(
     rows: dict[str, list[Row]] = {}
     for name, asks in requests.items():
         others = [other for other in avoided if other != name and other in requests]
-        scene = StageScene(delivered, name, others, progress)
+        scene = StageScene(delivered, name, others, progress, wheels[name])
         progress(f"{name}: reading the stage", 0.0)
         whole = delivered.track(name, roots[name], joints[name])
         start, end = moving[name]

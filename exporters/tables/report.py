@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vehsim.delivery.take import Take
-from vehsim.exporters.checks.audit import joints_in_rig, root_in_prim, stage_of, with_stage
+from vehsim.exporters.checks.audit import joints_in_rig, root_in_prim, stage_of, wheels_in_rig, with_stage
 from vehsim.exporters.checks.review import review
 from vehsim.exporters.usd.curves import count_keys
 from vehsim.exporters.usd.exporter import LAYERS
@@ -47,6 +47,7 @@ def write_report(take: Take, folder: Path, files: Sequence[Path]) -> Path:
         for name, clip in take.clips.items():
             report["vehicles"][name]["T_rp"] = root_in_prim(clip)
             report["vehicles"][name]["joints"] = joints_in_rig(clip)
+            report["vehicles"][name]["wheels"] = wheels_in_rig(clip)
             report["vehicles"][name]["motion"] = solved["vehicles"][name]["frames"]
         report = plain(report)
         report["audit"] = plain(with_stage(stage, report))

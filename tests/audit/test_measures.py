@@ -14,6 +14,7 @@ import pytest
 
 import vehsim
 from vehsim.audit import MEASURES, Scene, Track, WorldScene, audit, missed, track_of_clip, track_of_poses
+from vehsim.audit.scene import rolling_wheels
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import from_vectors, matrices, product
 from vehsim.requests import Ask, mark_asks
@@ -76,6 +77,42 @@ def pulled() -> Clip:
     controls = clip.controls.copy()
     controls[:, 0] = clip.times / 10
     return replace(clip, controls=controls)
+
+
+def rolling() -> Clip:
+    """A car in two seconds on a circle of 10 m to the left, its wheels as far as their hubs come."""
+    clip, radius, speed = steered(), 10.0, 3.0
+    t, zero, one = clip.times, 0 * clip.times, 0 * clip.times + 1
+    yaw, origin = speed / radius * t, CAR.rig.origin[0]
+    channels, to_centre = {}, {"fl": (2.6, 0.77), "fr": (2.6, -0.77), "rl": (0.0, 0.77), "rr": (0.0, -0.77)}
+    for wheel, (ahead, left) in to_centre.items():
+        channels[f"roll_{wheel}"] = yaw * math.hypot(radius - left, ahead) / 0.32
+        if ahead:
+            channels[f"steer_{wheel}"] = one * math.atan2(ahead, radius - left)
+    rear = np.column_stack([radius * np.sin(yaw), radius * (1 - np.cos(yaw)), zero])
+    return replace(
+        clip,
+        positions=rear - origin * np.column_stack([np.cos(yaw), np.sin(yaw), zero]),
+        orientations=np.column_stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)]),
+        twists=np.column_stack([speed / radius * one, speed * one, -origin * speed / radius * one]),
+        channels=channels,
+    )
+
+
+def hovering() -> Clip:
+    """A helicopter that stands in the air while its rotors turn."""
+    clip = standing()
+    rates = {"main_rotor": HELICOPTER.channels["main_rotor"], "tail_rotor": HELICOPTER.channels["tail_rotor"]}
+    laws = {
+        name: float(channel.rate(0, *[np.zeros(0)] * 2, np.zeros(6), np.zeros(4))) for name, channel in rates.items()
+    }
+    return replace(clip, channels={name: rate * clip.times for name, rate in laws.items()})
+
+
+def turning(clip: Clip, channel: str, by: float) -> Clip:
+    """The clip in whose second half a channel turns by so many rad more."""
+    extra = np.linspace(0, 2 * by, len(clip)) - by
+    return replace(clip, channels={**clip.channels, channel: clip.channels[channel] + np.maximum(extra, 0)})
 
 
 def moved(clip: Clip, by: Any, sample: int | slice = slice(None)) -> Clip:
@@ -259,6 +296,18 @@ CASES = {
         standing,
         lambda c: moved(c, [0, 0, 6e-3], 24),
         lambda: OnWheels(),
+    ),
+    "rolling": Case(
+        ask("rolling", 1, 49, {"wheels": rolling_wheels(CAR.rig), "share": 0.0}, upper=1e-3),
+        rolling,
+        lambda c: turning(c, "roll_fr", -2e-3),
+        lambda: WorldScene(None, CAR),
+    ),
+    "spinning": Case(
+        ask("spinning", 1, 49, {"channel": "tail_rotor", "share": 0.0}, upper=1e-3),
+        hovering,
+        lambda c: turning(c, "tail_rotor", 2e-3),
+        lambda: WorldScene(None, HELICOPTER),
     ),
     "clearance": Case(
         ask("clearance", 1, 49, {"clearance": 1.0, "obstacles_only": False, "slope": 0.35}, lower=1.0 - 1e-4),

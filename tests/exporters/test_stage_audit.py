@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import warnings
@@ -45,7 +46,7 @@ SHOT: dict[str, Any] = {
     ],
 }
 
-UNSEEN = ("clearance", "control_rate", "command")
+UNSEEN = ("clearance", "control_rate", "command", "spinning")
 """Measures that a stage does not show: it has no controls."""
 
 
@@ -184,6 +185,19 @@ def test_a_car_that_floats_or_sinks_is_refused(tmp_path: Path) -> None:
     assert keys(folder) == {"wheels"}
     edit(folder, lambda frame, p: np.add(p, [0, 0, -0.016 * (frame == 1030)]))
     assert keys(folder) == {"wheels"}
+
+
+def test_a_wheel_that_does_not_roll_is_refused(tmp_path: Path) -> None:
+    """It turns by two turns too little in the second half, or in one frame; each wheel counts."""
+    folder = Shot.from_dict(CAR).solve().export(tmp_path / "good", ("usd",))
+    (row,) = [row for row in audit_delivery(folder)["heli"] if row.key == "rolling"]
+    assert row.met and abs(row.value or 0.0) < math.radians(1)
+    for prim in ("wheel_rl", "steer_fr/wheel_fr"):
+        for change in (lambda frame: 30 * max(frame - 1025, 0), lambda frame: 720 * (frame > 1025)):
+            spoiled = Path(shutil.copytree(folder, tmp_path / "spoiled" / "over"))
+            edit(spoiled, lambda frame, angle, change=change: angle - change(frame), f"/{prim}.xformOp:rotateY:spin")
+            assert keys(spoiled) == {"rolling"}
+            shutil.rmtree(spoiled)
 
 
 @pytest.mark.parametrize(("aside", "within"), [(0.0, False), (1.5, False), (2.5, True), (3.5, True)])

@@ -285,6 +285,46 @@ def _wheels(track: Track, wanted: Wanted, scene: Scene) -> Array:
     return _on_frames(track, lambda part: scene.wheel_gap(part, wanted["prims"]))
 
 
+def _rolling(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far a wheel has turned since any earlier frame, more or less than it came and beyond a share of that, rad, on
+    whole frames, of the worst wheel; nan between."""
+
+    def off(part: Track) -> Array:
+        return np.max([_off_pace(*_rolled(part, wheel, scene), wanted["share"]) for wheel in wanted["wheels"]], axis=0)
+
+    return _on_frames(track, off)
+
+
+def _rolled(track: Track, wheel: Mapping[str, Any], scene: Scene) -> tuple[Array, Array]:
+    """How far a wheel has turned, and how far it rolls on the way of its centre at right angles to its axle, on an arc
+    between two samples, (n,) rad each."""
+    centres, axles, turned = scene.wheel(track, wheel)
+    steps, axle = np.diff(centres, axis=0), axles[1:] + axles[:-1]
+    axle = axle / np.linalg.norm(axle, axis=1, keepdims=True)
+    ahead = steps - np.sum(steps * axle, axis=1, keepdims=True) * axle
+    half = np.minimum(_norms(np.diff(axles, axis=0)) / 2, 1.0)
+    arcs = _norms(ahead) / np.sinc(np.arcsin(half) / np.pi)
+    forward = ahead[:, 1] * axle[:, 0] < ahead[:, 0] * axle[:, 1]  # an axle points to the left
+    way = np.concatenate([[0.0], np.cumsum(np.where(forward, arcs, -arcs))])
+    return turned, way / wheel["radius"]
+
+
+def _spinning(track: Track, wanted: Wanted, scene: Scene) -> Array:
+    """How far a propeller or rotor has turned since any earlier sample, more or less than its law says and beyond a
+    share of that, rad; nan without controls, as on a stage."""
+    turned, rates = scene.spin(track, wanted["channel"])
+    steps = np.diff(track.seconds) * (rates[1:] + rates[:-1]) / 2
+    return _off_pace(turned, np.concatenate([[0.0], np.cumsum(steps)]), wanted["share"])
+
+
+def _off_pace(values: Array, expected: Array, share: float) -> Array:
+    """By how much two sums (n,) have drifted apart since any earlier sample, beyond a ``share`` of the way of the
+    expected one."""
+    allowed = share * np.concatenate([[0.0], np.cumsum(np.abs(np.diff(expected)))])
+    apart = [sign * (values - expected) - allowed for sign in (1.0, -1.0)]
+    return np.asarray(np.max([drift - np.minimum.accumulate(drift) for drift in apart], axis=0))
+
+
 def _clearance(track: Track, wanted: Wanted, scene: Scene) -> Array:
     """Distance of the hulls from terrain and obstacles, m, plus the allowance near a landing; nan where it is known to
     be larger."""
@@ -469,6 +509,8 @@ MEASURES: Registry[Measure] = Registry(
         "stands": _stands,
         "clearance": _clearance,
         "wheels": _wheels,
+        "rolling": _rolling,
+        "spinning": _spinning,
         "law": _law,
     },
 )

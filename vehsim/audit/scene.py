@@ -46,6 +46,18 @@ class Scene:
         """Height (n,) m above the ground of the wheel with the largest gap; nan if there are no wheels."""
         return np.full(len(track.frames), np.nan)
 
+    def wheel(self, track: Track, wheel: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+        """Of a wheel as `rolling_wheels` describes it: centre (n, 3) m and axle (n, 3), pointing to the left, in the
+        world, and how far it has turned forwards (n,) rad; nan if that is not known."""
+        missing = np.full((len(track.frames), 7), np.nan)
+        return missing[:, :3], missing[:, 3:6], missing[:, 6]
+
+    def spin(self, track: Track, channel: str) -> tuple[Array, Array]:
+        """How far a part that a ``channel`` turns at a rate has turned (n,) rad, and this rate by its law (n,) rad/s;
+        nan if that is not known."""
+        missing = np.full((len(track.frames), 2), np.nan)
+        return missing[:, 0], missing[:, 1]
+
 
 class WorldScene(Scene):
     """A `World` and the ``vehicle`` that moves in it: trailers turn and tilt, all other hulls are as at rest."""
@@ -79,6 +91,68 @@ class WorldScene(Scene):
 
     def swept(self, track: Track) -> Array:
         return _swept(self.vehicle, track.channels, len(track.frames))
+
+    def wheel(self, track: Track, wheel: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+        from vehsim.lie.quaternions import matrices, quaternions
+        from vehsim.rig.linkage import part_poses
+
+        if wheel["channel"] not in track.channels:
+            return super().wheel(track, wheel)
+        root = track.positions, quaternions(track.rotations)
+        positions, orientations = part_poses(self.vehicle.rig, wheel["prim"], track.channels, *root)
+        R = matrices(orientations)
+        turned = wheel["gain"] * track.channels[wheel["channel"]]
+        return positions + R @ wheel["centre"], R @ wheel["axle"], turned
+
+    def spin(self, track: Track, channel: str) -> tuple[Array, Array]:
+        import casadi as ca
+
+        law = self.vehicle.channels[channel].rate
+        if track.controls is None or channel not in track.channels:
+            return super().spin(track, channel)
+        given = [track.seconds - track.seconds[0], *self._motion(track), track.controls]
+        columns = [np.reshape(values, (len(track.frames), -1)).T for values in given]
+        symbols = [ca.SX.sym("x", len(column)) for column in columns]
+        rates = ca.Function("rate", symbols, [law(*symbols)])(*columns)
+        return track.channels[channel], np.broadcast_to(np.asarray(rates, float).ravel(), len(track.frames))
+
+    def _motion(self, track: Track) -> tuple[Array, Array, Array]:
+        """Joints, their rates, and the twist of the body frame, (n, .) each."""
+        n, R = len(track.frames), track.rotations
+        joints, rates = (np.array([*some.values()]).reshape(-1, n).T for some in (track.joints, track.joint_rates))
+        origin = np.zeros(3) if self.vehicle.rig is None else np.asarray(self.vehicle.rig.origin)
+        velocities = np.einsum("nji,nj->ni", R, track.velocities) + np.cross(track.omegas, origin)
+        twists = np.hstack([track.omegas, velocities])
+        return joints, rates, twists[:, 2:5] if self.vehicle.group.planar else twists
+
+
+def rolling_wheels(rig: Any) -> list[dict[str, Any]]:
+    """The wheels of a rig that ``roll_*`` channels turn, as JSON data.
+
+    Each has its ``prim`` below the root, ``radius`` m, and, in the root's frame at rest, ``centre`` (3,) m and ``axle``
+    (3,), which points to the left; it turns forwards by ``gain`` times the ``channel``.
+    """
+    from vehsim.rig.linkage import screws
+    from vehsim.world.ground.wheels import wheels_of
+
+    found = []
+    for wheel in wheels_of(rig):
+        if wheel.roll is None or not wheel.roll.startswith("roll_"):
+            continue
+        drive = rig.drives[wheel.roll]
+        (screw,) = [screw for screw in screws(rig, drive.prim) if screw.channel == wheel.roll]
+        gain = float(np.copysign(np.linalg.norm(screw.axis), screw.axis[1]))
+        found.append(
+            {
+                "prim": drive.prim,
+                "radius": float(wheel.rings[:, 1].max()),
+                "centre": wheel.centre.tolist(),
+                "axle": (screw.axis / gain).tolist(),
+                "channel": wheel.roll,
+                "gain": gain,
+            }
+        )
+    return found
 
 
 def can_hit(vehicle: Any, world: Any) -> bool:

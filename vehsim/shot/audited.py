@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from vehsim.errors import SolveError
@@ -12,6 +13,8 @@ from vehsim.errors import SolveError
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
     from vehsim.requests import Ask
+    from vehsim.rig.rig import Rig
+    from vehsim.vehicles import Vehicle
     from vehsim.world.world import World
 
 NAMED = 3
@@ -20,6 +23,10 @@ DEPTH = 0.05
 """Depth of a vehicle without a clearance in rock or an obstacle above which there is a warning, m."""
 GROUND = 0.005
 """Largest distance from the ground of a wheel that rolls on it, m."""
+HELD, TURN, SHARE = 0.1, 2 * math.pi, 0.05
+"""How far wheels may turn against their way in a hold, and in a motion; the latter also propellers and rotors against
+their laws in a hold, rad; and the share of the way by which each may do so in addition. Interpolated between the knots
+of a coarse plan, wheels slip by up to a quarter of a turn."""
 
 
 def audit_clips(
@@ -43,6 +50,7 @@ def audit_clips(
         mine.append(Ask("shot.start_frame", "frame", first, first, lower=first, upper=first, unit="frames"))
         mine.append(Ask("shot.end_frame", "frame", last, last, lower=last, upper=last, unit="frames"))
         mine += _wheels(clip, worlds[name], first, last)
+        mine += _turning(clip, mine, first, last)
         for begin, end in _unasked(mine, first, last):
             mine += _untouched(clip, worlds[name], begin, end)
         rows = audit(track_of_clip(clip), mine, WorldScene(worlds[name], clip.vehicle))
@@ -86,6 +94,65 @@ def _wheels(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
     wanted = {"prims": [wheel.prim for wheel in wheels]}
     remedy = "give its wheels travel_* channels, with which they follow uneven ground" if rigid else ""
     return [Ask("wheels", "wheels", first, last, wanted, -GROUND, GROUND, "m", severity, remedy)]
+
+
+def _turning(clip: Clip, asks: Sequence[Ask], first: float, last: float) -> Iterator[Ask]:
+    """The asks that wheels turn as far as they come, those that may slip in holds only, and that in holds propellers
+    and rotors turn as their laws say.
+
+    It is a warning where the asset's wheels are not those of the model.
+    """
+    from vehsim.audit.scene import rolling_wheels
+    from vehsim.requests import Ask
+
+    vehicle = clip.vehicle
+    if (rig := vehicle.rig) is None:
+        return
+    holds = [(ask.first, ask.last) for ask in asks if ask.measure == "drift"]
+    wheels = rolling_wheels(rig) if vehicle.rolls else []
+    if wheels:
+        fits = all(_fits(vehicle, rig, wheel) for wheel in wheels)
+        severity: Literal["error", "warning"] = "error" if fits else "warning"
+        remedy = "" if fits else "compare its wheel_radius, half_track and wheelbase with its asset"
+        wanted = {"wheels": wheels, "share": SHARE}
+        if vehicle.rolling is None:
+            yield Ask("rolling", "rolling", first, last, wanted, None, TURN, "rad", severity, remedy)
+        for span in holds:
+            yield Ask("rolling (hold)", "rolling", *span, wanted, None, HELD, "rad", severity, remedy)
+    rolling = {wheel["channel"] for wheel in wheels}
+    for name, channel in vehicle.channels.items():
+        if channel.rate is not None and name in rig.drives and name not in rolling:
+            for span in holds:
+                wanted = {"channel": name, "share": SHARE}
+                yield Ask(f"spinning.{name} (hold)", "spinning", *span, wanted, None, TURN, "rad")
+
+
+def _fits(vehicle: Vehicle, rig: Rig, wheel: Mapping[str, Any]) -> bool:
+    """Whether a wheel of the asset rolls as that of the model does, straight ahead and turning on the spot."""
+    import casadi as ca
+    import numpy as np
+
+    if vehicle.rolling is not None:
+        return True
+    law, at = vehicle.channels[wheel["channel"]], np.zeros(len(vehicle.joints))
+    r, u, xi = (ca.SX.sym(name, size) for name, size in (("r", len(at)), ("u", len(at)), ("xi", 3)))
+    given = 0.0, r, u, xi, ca.DM.zeros(len(vehicle.controls))
+    if law.value is not None:
+        turning = ca.jtimes(ca.SX(law.value(*given)), r, u)
+    else:
+        assert law.rate is not None
+        turning = law.rate(*given)
+    rate = ca.Function("rate", [r, u, xi], [turning])
+    # free motions: twists (3, .) of the body at unit speeds along the basis and unit rates of the joints
+    free, tied = (np.array(ca.Function("free", [r], [part(r)])(at))[:3] for part in (vehicle.basis, vehicle.connection))
+    motions = np.hstack([free, -tied])
+    for twist in np.eye(3)[:2]:
+        speeds, *_ = np.linalg.lstsq(motions, twist, rcond=None)
+        rolled = wheel["radius"] * wheel["gain"] * float(rate(at, speeds[free.shape[1] :], twist))
+        way = twist[1] - (wheel["centre"][1] - rig.origin[1]) * twist[0]
+        if np.allclose(motions @ speeds, twist) and abs(rolled - way) > SHARE * abs(way) + 1e-6:
+            return False
+    return True
 
 
 def _untouched(clip: Clip, world: World, first: float, last: float) -> list[Ask]:
