@@ -349,6 +349,35 @@ def test_helicopters_hold_their_height_between_marks(character: str, distance: i
     assert max(20 - free.min(), free.max() - 20 - climb) > 1.5
 
 
+@pytest.mark.parametrize(("distance", "rise", "seconds"), [(0, 60, 30), (100, 50, 26), (0, -60, 30), (100, -50, 26)])
+def test_the_planner_climbs_and_descends_as_pilots_do(distance: int, rise: int, seconds: int) -> None:
+    """Slowest when calm; above the rate at which a slow helicopter sinks into its own wake, half of the speed that its
+    rotor induces in hover. Without a change of the cost of height, each took over 40 s, in every character."""
+    marks = [
+        Mark(1, position=(0, 0, 100), velocity=STILL),
+        Mark("free", position=(distance, 0, 100 + rise), velocity=STILL),
+    ]
+    made = [vehsim.plan(HELICOPTER, marks=marks, segments=32, character=name) for name in reversed(CHARACTERS)]
+    durations = [plan.duration for plan in made]
+    assert all(plan.success for plan in made)
+    assert durations == sorted(durations) and durations[-1] < seconds
+    disc = math.pi * 5.35**2  # m^2
+    induced = math.sqrt(1900 * 9.81 / (2 * 1.225 * disc))
+    for plan in made[1:]:  # a stunt may plunge
+        velocities = np.gradient(plan.clip.positions, plan.clip.times, axis=0)
+        slow = np.linalg.norm(velocities[:, :2], axis=1) < induced
+        assert velocities[slow, 2].min() > -induced / 2
+    assert np.abs(velocities[:, 2]).max() < 1.1 * HELICOPTER.character.limits["climb"].calm
+
+
+def test_the_time_to_a_given_frame_is_used_evenly() -> None:
+    """Marks before a given frame, where a climb saves no time: its vertical speed squared is the cost."""
+    free = Mark("free", position=(60, 0, 60))
+    marks = [Mark(1, position=(0, 0, 20), velocity=STILL), free, Mark(721, position=(200, 0, 30), velocity=STILL)]
+    heights = vehsim.plan(HELICOPTER, marks=marks, segments=32, character="brisk").clip
+    assert np.abs(np.gradient(heights.positions[:, 2], heights.times)).max() < 3.5
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [

@@ -17,8 +17,18 @@ from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import segment_view
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.planning.request.legs import knots_within
-from vehsim.planning.request.marks import Mark
-from vehsim.planning.terms import COSTS, LIMITS, Constraint, Cost, SegmentView, costs_of, weight_of
+from vehsim.planning.request.marks import Mark, given_frames
+from vehsim.planning.terms import (
+    COSTS,
+    LIMITS,
+    UNTIMED,
+    Constraint,
+    Cost,
+    SegmentView,
+    costs_of,
+    positive,
+    weight_of,
+)
 from vehsim.planning.trajectory import Trajectory
 
 
@@ -44,7 +54,8 @@ class RunningCosts(Block):
         return costs_of(SegmentView, self.weights)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        return "costs", self.names, self._exceeded, self._aimed(layout).tobytes()
+        timed = self._timed(layout).tobytes()
+        return "costs", self.names, self._exceeded, self._aimed(layout).tobytes(), timed
 
     @property
     def _exceeded(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -59,13 +70,21 @@ class RunningCosts(Block):
             aimed[first:last] = True
         return aimed
 
+    def _timed(self, layout: Layout) -> NDArray[np.bool_]:
+        """Segments (n,) until the last given frame; all of them if no cost has another law after it."""
+        last = int(np.flatnonzero(np.isfinite(given_frames(self.marks)))[-1])
+        return UNTIMED.keys().isdisjoint(self.names) | (np.arange(layout.segments) < layout.mark_knots[last])
+
     def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
-        aimed, names = self._aimed(layout), self.names
+        aimed, timed, names = self._aimed(layout), self._timed(layout), self.names
         # `course` does not apply where a constraint sets the heading
         without = tuple(name for name in names if name != "course")
-        for some, segments in ((names, np.flatnonzero(~aimed)), (without, np.flatnonzero(aimed))):
-            if len(segments) and some:
-                problem.add(cost_element(transcription, some, *self._exceeded), layout.segment(segments))
+        for some, which in ((names, ~aimed), (without, aimed)):
+            for given in (True, False):
+                segments = np.flatnonzero(which & (timed == given))
+                if len(segments) and some:
+                    element = cost_element(transcription, some, *self._exceeded, timed=given)
+                    problem.add(element, layout.segment(segments))
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         values: dict[str, Any] = {weight_of(name): self.weights[name] for name in self.names}
@@ -88,42 +107,45 @@ def _most(name: str) -> str:
 
 
 def cost_element(
-    transcription: Transcription, names: tuple[str, ...], limits: tuple[str, ...] = (), rates: tuple[str, ...] = ()
+    transcription: Transcription,
+    names: tuple[str, ...],
+    limits: tuple[str, ...] = (),
+    rates: tuple[str, ...] = (),
+    timed: bool = True,
 ) -> Element:
-    """The weighted costs of a segment, and of exceeding ``limits`` and control ``rates`` in it: (x, x1, c0, c1, h)."""
+    """The weighted costs of a segment, and of exceeding ``limits`` and control ``rates`` in it: (x, x1, c0, c1, h).
+
+    ``timed``: whether it lies before the last given frame.
+    """
 
     def make() -> Element:
         v = transcription.symbols("x", "x1", "c0", "c1", "h")
         inner: list[tuple[Any, Any]] = []
         view, vehicle = segment_view(transcription, v, inner=inner), transcription.vehicle
         parameters = {weight_of(name): ca.SX.sym(name) for name in names}
-        total = sum((parameters[weight_of(name)] * COSTS[name](view) for name in names), ca.SX(0))
+        laws = {**COSTS, **({} if timed else UNTIMED)}
+        total = sum((parameters[weight_of(name)] * laws[name](view) for name in names), ca.SX(0))
         most = {name: ca.SX.sym(name) for name in (*limits, *rates)}
         excess = ca.SX(0)
         for name in limits:
             for knot in (view.start, view.end):
                 # the cubic's own acceleration would oscillate from knot to knot
                 seen = replace(knot, acceleration=view.acceleration)
-                excess += v["h"] / 2 * _above(LIMITS[name].law(seen) / most[name] - 1) ** 2
+                excess += v["h"] / 2 * positive(LIMITS[name].law(seen) / most[name] - 1, EDGE) ** 2
         for name in rates:
             k = vehicle.control_names.index(name)
             share = (v["c1"][k] - v["c0"][k]) * transcription.control_scale[k] / (v["h"] * most[name])
-            excess += v["h"] * (_above(share - 1) ** 2 + _above(-share - 1) ** 2)
+            excess += v["h"] * (positive(share - 1, EDGE) ** 2 + positive(-share - 1, EDGE) ** 2)
         if most:
             parameters |= {_most(name): symbol for name, symbol in most.items()} | {PRICE: ca.SX.sym("price")}
             total += EXCESS * parameters[PRICE] * excess
         return Element("cost", ca.vertcat(*v.values()), parameters, f=total, inner=inner)
 
-    return transcription.kept(("cost", names, limits, rates), make)
+    return transcription.kept(("cost", names, limits, rates, timed), make)
 
 
 EDGE = 0.03
 """Share of a limit over which its price sets in: an optimiser needs fewer steps where costs have no kinks."""
-
-
-def _above(excess: Any) -> Any:
-    """The excess where it is positive, smooth where it is zero."""
-    return (excess + ca.sqrt(excess**2 + EDGE**2)) / 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -226,6 +226,22 @@ def _level(s: SegmentView) -> Expr:
     return (s.end.position[2] - s.start.position[2]) ** 2 / s.h
 
 
+SLOW = 0.5
+"""Vertical speed, m/s, below which `_rise` is `_level`."""
+APPROACH = 0.25
+"""Drop per metre over ground of the steepest usual approach, of 14 degrees."""
+STEEP = 0.1
+"""Weight of steeper descents: a second of hover costs a helicopter 1.5, so it then sinks vertically at 3.6 m/s. From
+4.6 m/s, half of the speed that its rotor induces in hover, it might enter its own wake (vortex ring state)."""
+
+
+def _rise(s: SegmentView) -> Expr:
+    """Vertical distance, m, and the squared speed down beyond that of an approach, integrated over time."""
+    move, slow = s.end.position - s.start.position, SLOW * s.h
+    steep = positive(-move[2] - APPROACH * ca.sqrt(ca.sumsqr(move[0:2]) + slow**2), slow)
+    return (2 * slow * (ca.sqrt(move[2] ** 2 + slow**2) - slow) + STEEP * steep**2) / s.h
+
+
 def _turning(s: SegmentView) -> Expr:
     """Squared rate of turning about the body's Z axis, integrated over time, 1/s."""
     return _mean(lambda k: k.omega[2] ** 2, s)
@@ -257,6 +273,11 @@ def _norm(vector: Expr) -> Expr:
     return ca.sqrt(ca.sumsqr(vector) + 1e-8)
 
 
+def positive(value: Expr, edge: Expr) -> Expr:
+    """The value where it is positive, rounded over ``edge`` where it is zero."""
+    return (value + ca.sqrt(value**2 + edge**2)) / 2
+
+
 LIGHT = 0.01
 """Share of the weight below which the load on the ground is rounded to stay above zero, where wheels leave it."""
 
@@ -266,7 +287,7 @@ def _grip(k: KnotView) -> Expr:
     level, slope, load = k.acceleration[0:2] / GRAVITY, k.slope, 1 + k.lift / GRAVITY
     rise, steep = ca.dot(slope, level), ca.sumsqr(slope)
     along = (ca.sumsqr(level) + rise**2 + 2 * rise * load) * (1 + steep) + steep * load**2
-    return ca.sqrt(along + 1e-8) / ((load + ca.sqrt(load**2 + LIGHT**2)) / 2)
+    return ca.sqrt(along + 1e-8) / positive(load, LIGHT)
 
 
 COSTS: Registry[Callable[[Any], Expr]] = Registry(
@@ -287,6 +308,10 @@ COSTS: Registry[Callable[[Any], Expr]] = Registry(
     },
 )
 """Cost name -> its law. The first line of a law's docstring is the cost's description."""
+
+UNTIMED: dict[str, Callable[[SegmentView], Expr]] = {"level": _rise}
+"""Cost name -> the law that replaces its own after the last given frame. A climb there must not cost the less the
+longer it takes."""
 
 VIEWS: dict[str, type] = {"safety": HazardView, "easing": BendView}
 """The view that the law of a cost takes if it is not a `SegmentView`. A law of a `SegmentView` returns the integral
