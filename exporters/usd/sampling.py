@@ -48,6 +48,7 @@ def clip_at(clip: Clip, frames: Array) -> Clip:
         positions=inside.positions[rows] + velocity * beyond[:, None],
         orientations=_product(inside.orientations[rows], turned),
         channels={n: values[rows] + _end_slopes(clip, n, beyond) * beyond for n, values in inside.channels.items()},
+        channel_rates={name: values[rows] for name, values in inside.channel_rates.items()},
         energy={name: values[rows] for name, values in inside.energy.items()},
         commands={name: values[rows] for name, values in inside.commands.items()},
         **{name: getattr(inside, name)[rows] for name in names},

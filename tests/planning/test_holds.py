@@ -232,3 +232,18 @@ def test_takes_off_from_a_hold_on_the_ground_in_wind():
     assert plan.success and plan.executed.final < 0.5
     still = plan.clip.at(np.linspace(0.0, 36 / 24, 50))
     assert np.ptp(still.positions, axis=0).max() < TIGHT and np.abs(still.twists).max() < TIGHT
+
+
+def test_between_knots_wheels_roll_where_the_car_goes(tmp_path):
+    """Near a stop, they turned on for 4 cm: their turning was interpolated without its rate."""
+    places = [(1, 0, 0), (97, 15, 96), (289, 30, 24)]
+    marks = [Mark(frame, position=(x, 0, 0), heading=0, velocity=REST, hold=hold) for frame, x, hold in places]
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, segments=24)
+    assert plan.success
+    clips = [plan.clip, vehsim.Clip.load(plan.clip.save(tmp_path / "car"), plan.clip.vehicle)]
+    for clip in (*clips, plan.clip.at(np.linspace(0, plan.clip.duration, 100))):
+        fine = clip.at(np.arange(0, clip.duration, 1 / 192))
+        turning = np.gradient(fine.channels["roll_rl"], fine.times)
+        np.testing.assert_allclose(fine.channel_rates["roll_rl"][1:-1], turning[1:-1], atol=0.02)
+        radius = fine.channels["roll_rl"][-1] / fine.positions[-1, 0]
+        np.testing.assert_allclose(fine.channels["roll_rl"], radius * fine.positions[:, 0], atol=0.01)

@@ -39,7 +39,8 @@ class Clip(Samples):
 
     ``times`` (n,) s from 0; ``positions`` (n, 3) m; ``orientations`` (n, 4) w, x, y, z, continuous in sign; ``twists``
     (n, d) in body axes, rad/s then m/s; ``joints``, ``joint_rates`` (n, s); ``controls`` (n, c); ``channels`` rig
-    channel name -> (n,), rad or m, unwrapped. Sample k is frame ``start_frame + times[k] * fps``. ``events``: for
+    channel name -> (n,), rad or m, unwrapped; ``channel_rates``: of those that are integrals, such as the turning of
+    wheels, name -> (n,), rad/s or m/s. Sample k is frame ``start_frame + times[k] * fps``. ``events``: for
     example contacts; ``energy``: name -> (n,) J. ``commands``: what the actuators of the ``controls`` followed, control
     name -> (n,); empty if a motion was not made from commands. ``ending``: what `vehsim.simulate` needs to continue it,
     as `vehsim.clip.ending` encodes it; it is saved, but no part of the motion.

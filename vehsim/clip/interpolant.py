@@ -2,8 +2,9 @@
 
 Positions are cubic in the world with the knot velocities as slopes. Orientations are ``q_k exp(phi(s))`` with ``phi`` a
 cubic whose end slopes make the body's angular velocity that of both knots. Joints are cubic with their rates, controls
-linear (as the integrators take them). A channel that follows joints alone follows them between knots too; the others
-are monotone where their knots are: no wheel turns back between frames.
+linear (as the integrators take them). A channel that follows joints alone follows them between knots too; one that is
+the integral of a rate is cubic with that rate, so that wheels roll where their vehicle goes; the others are monotone
+where their knots are.
 
 Planar vehicles are interpolated in the plane; the height and tilt that terrain gave them are interpolated like
 channels.
@@ -58,6 +59,7 @@ def interpolate(clip: S, times: Array) -> S:
     orientations, angular = _rotations(s, h, flat[k], flat[k + 1], omega[k], omega[k + 1])
     joints, rates = _hermite(s, h, clip.joints[k], clip.joints[k + 1], clip.joint_rates[k], clip.joint_rates[k + 1])
     twists = _twists(clip.vehicle.group, orientations, angular, linear)
+    channels, channel_rates = _channels(clip, times, joints)
     if tilt is not None:
         z, pitch, roll = monotone(clip.times, np.column_stack([clip.positions[:, 2], *tilt]), times).T
         positions[:, 2] = z
@@ -71,7 +73,8 @@ def interpolate(clip: S, times: Array) -> S:
         joints=joints,
         joint_rates=rates,
         controls=clip.controls[k] + s[:, None] * (clip.controls[k + 1] - clip.controls[k]),
-        channels=channels_at(clip, times, joints),
+        channels=channels,
+        channel_rates=channel_rates,
         energy={name: np.interp(times, clip.times, values) for name, values in clip.energy.items()},
         commands={name: np.interp(times, clip.times, values) for name, values in clip.commands.items()},
     )
@@ -83,14 +86,31 @@ def channels_at(clip: Samples, times: Array, joints: Array) -> dict[str, Array]:
     A channel that follows joints is its law at the joints, plus the interpolated difference of its knots from that law;
     this is zero unless a knot was edited.
     """
+    return _channels(clip, times, joints)[0]
+
+
+def _channels(clip: Samples, times: Array, joints: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+    """The same, and the rates (m,) of the channels that are integrals."""
     from vehsim.vehicles.definition.joint_channels import joint_channels
 
     if not clip.channels:
-        return {}
+        return {}, {}
     at_knots, between = (joint_channels(clip.vehicle, values) for values in (clip.joints, joints))
-    rest = [values - at_knots.get(name, 0.0) for name, values in clip.channels.items()]
-    columns = monotone(clip.times, np.column_stack(rest), times).T
-    return {name: column + between.get(name, 0.0) for name, column in zip(clip.channels, columns, strict=True)}
+    rest = [
+        values - at_knots.get(name, 0.0) for name, values in clip.channels.items() if name not in clip.channel_rates
+    ]
+    columns = iter(monotone(clip.times, np.column_stack([np.zeros((len(clip), 0)), *rest]), times).T)
+    k = np.clip(np.searchsorted(clip.times, times, side="right") - 1, 0, len(clip) - 2)
+    h = clip.times[k + 1] - clip.times[k]
+    s, found, rates = (times - clip.times[k]) / h, {}, {}
+    for name, values in clip.channels.items():
+        if name in clip.channel_rates:
+            turning = clip.channel_rates[name][:, None]
+            ends = (values[k, None], values[k + 1, None], turning[k], turning[k + 1])
+            found[name], rates[name] = (column[:, 0] for column in _hermite(s, h, *ends))
+        else:
+            found[name] = next(columns) + between.get(name, 0.0)
+    return found, rates
 
 
 def spatial(clip: Samples) -> tuple[Array, Array]:
@@ -185,6 +205,7 @@ def _select(clip: S, rows: NDArray[np.intp], times: Array) -> S:
         times=times,
         **{name: getattr(clip, name)[rows] for name in names},
         channels={name: values[rows] for name, values in clip.channels.items()},
+        channel_rates={name: values[rows] for name, values in clip.channel_rates.items()},
         energy={name: values[rows] for name, values in clip.energy.items()},
         commands={name: values[rows] for name, values in clip.commands.items()},
     )

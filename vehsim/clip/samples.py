@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 ARRAYS = ("times", "positions", "orientations", "twists", "joints", "joint_rates", "controls")
-GROUPS = {"channels": "channel.", "energy": "energy.", "commands": "command."}
+GROUPS = {"channels": "channel.", "energy": "energy.", "commands": "command.", "channel_rates": "channel_rate."}
 """Fields with arrays by name, and the prefixes of their names in a saved clip."""
 
 
@@ -40,6 +40,7 @@ class Samples:
     events: Sequence[Mapping[str, Any]] = ()
     energy: Mapping[str, Array] = field(default_factory=dict)
     commands: Mapping[str, Array] = field(default_factory=dict)
+    channel_rates: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "fps", frame_rate(self.fps))

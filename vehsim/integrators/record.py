@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +16,7 @@ from vehsim.integrators.fast.kernel import Kernel, each_part
 from vehsim.lie.quaternions import continuous
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.mechanics import drive_power, energy
+from vehsim.vehicles.definition.vehicle import Vehicle
 
 
 def build_clip(
@@ -80,7 +82,10 @@ def build_clips(
     totals = np.concatenate([np.zeros((1, m, count)), np.cumsum(parts, axis=0)])
     values = [name for name in vehicle.channels if name not in rates]
     clips = []
-    for row, total, control, anchor in zip(rows, totals.transpose(1, 2, 0), controls, anchors, strict=True):
+    turning = powers[:, :, 2 : 2 + len(rates)].transpose(1, 2, 0)
+    for row, total, turns, control, anchor in zip(
+        rows, totals.transpose(1, 2, 0), turning, controls, anchors, strict=True
+    ):
         position, orientation, twist, r, u, energies, _, channels, _ = (
             np.ascontiguousarray(part) for part in np.split(row, np.cumsum(widths[:-1]), axis=1)
         )
@@ -99,6 +104,7 @@ def build_clips(
                 joint_rates=u,
                 controls=control,
                 channels={name: by_name[name] for name in vehicle.channels},
+                channel_rates=dict(zip(rates, np.ascontiguousarray(turns), strict=True)),
                 energy={
                     "kinetic": kinetic,
                     "potential": potential,
@@ -135,6 +141,41 @@ def _record(mechanics: DiscreteMechanics) -> tuple[ca.Function, list[int]]:
     gradients = ca.vec(ca.densify(slopes[steered, :].T))
     row = ca.vertcat(*mechanics.root_state(g, r, pi, c), *energy(v, g, r, u, xi), powers, *values, gradients)
     return ca.Function("record", [ca.vertcat(g, r, pi, y["z"]), t, c, wind], ca.cse([ca.densify(row)])), steered
+
+
+def channel_laws(vehicle: Vehicle) -> ca.Function:
+    """``(t, r, u, xi, c) -> values, rates`` of the channels, with the twist ``xi`` (d,) of the rig's root."""
+    t, r, u = ca.SX.sym("t"), ca.SX.sym("r", len(vehicle.joints)), ca.SX.sym("u", len(vehicle.joints))
+    xi, c = ca.SX.sym("xi", vehicle.group.dim), ca.SX.sym("c", len(vehicle.controls))
+    o = vehicle.origin
+    body = ca.vertcat(xi[0], xi[1] - xi[0] * o[1], xi[2] + xi[0] * o[0]) if vehicle.group.planar else ca.vertcat(
+        xi[:3], xi[3:] + ca.cross(xi[:3], ca.DM(o))
+    )  # fmt: skip
+    laws = vehicle.channels.values()
+    values = [channel.value(t, r, u, body, c) if channel.rate is None and channel.value else 0.0 for channel in laws]
+    rates = [channel.rate(t, r, u, body, c) if channel.rate else 0.0 for channel in laws]
+    return ca.Function(
+        "channels", [t, r, u, xi, c], [ca.densify(ca.vertcat(*map(ca.SX, each))) for each in (values, rates)]
+    )
+
+
+def measured_along(mechanics: DiscreteMechanics, clip: Clip) -> Clip:
+    """The clip with its channels that are integrals measured along its interpolated motion by three points of Gauss per
+    interval: between the knots of a coarse plan, wheels slip by centimetres otherwise."""
+    if not clip.channel_rates or len(clip) < 2:
+        return clip
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    h = np.diff(clip.times)[:, None]
+    at = replace(clip, channels={}, channel_rates={}, energy={}).at(
+        (clip.times[:-1, None] + h * (1 + nodes) / 2).ravel()
+    )
+    laws = keep(mechanics, "channel laws", lambda: channel_laws(mechanics.vehicle))
+    rates = np.asarray(laws.map(len(at))(at.times[None], at.joints.T, at.joint_rates.T, at.twists.T, at.controls.T)[1])
+    turned = (rates.reshape(len(rates), -1, 3) @ weights) * h[:, 0] / 2
+    totals = dict(
+        zip(mechanics.vehicle.channels, np.hstack([0 * turned[:, :1], np.cumsum(turned, axis=1)]), strict=True)
+    )
+    return replace(clip, channels={**clip.channels, **{name: totals[name] for name in clip.channel_rates}})
 
 
 Rule = tuple[NDArray[np.intp], Array]

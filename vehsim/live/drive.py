@@ -15,12 +15,12 @@ from fractions import Fraction
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, Problem, SolveError
+from vehsim.integrators.record import channel_laws
 from vehsim.lie.quaternions import continuous, from_yaw, rotate, yaw_of
 from vehsim.shot.checks import Context
 from vehsim.shot.motions.simulate import ForwardMotion
@@ -226,7 +226,7 @@ class Window:
         """The state shows whether a boat floats or glides in the plane."""
         flat = self._vehicle.planar
         self._moving = flat if flat is not None and len(np.ravel(state.twist)) == flat.group.dim else self._vehicle
-        self._function = _channel_laws(self._moving)
+        self._function = channel_laws(self._moving)
         self._turned = np.zeros(len(self._moving.channels))
         if self._world.terrain is not None and self._moving.group.planar:
             self._length = SETTLED
@@ -238,22 +238,6 @@ class Window:
         r, u = (np.zeros(s) if each is None else each for each in (state.joints, state.joint_rates))
         values, rates = self._function(t, r, u, state.twist, controls)
         return np.ravel(values), np.ravel(rates)
-
-
-def _channel_laws(vehicle: Vehicle) -> ca.Function:
-    """``(t, r, u, xi, c) -> values, rates`` of the channels, with the twist ``xi`` (d,) of the rig's root."""
-    t, r, u = ca.SX.sym("t"), ca.SX.sym("r", len(vehicle.joints)), ca.SX.sym("u", len(vehicle.joints))
-    xi, c = ca.SX.sym("xi", vehicle.group.dim), ca.SX.sym("c", len(vehicle.controls))
-    o = vehicle.origin
-    body = ca.vertcat(xi[0], xi[1] - xi[0] * o[1], xi[2] + xi[0] * o[0]) if vehicle.group.planar else ca.vertcat(
-        xi[:3], xi[3:] + ca.cross(xi[:3], ca.DM(o))
-    )  # fmt: skip
-    laws = vehicle.channels.values()
-    values = [channel.value(t, r, u, body, c) if channel.rate is None and channel.value else 0.0 for channel in laws]
-    rates = [channel.rate(t, r, u, body, c) if channel.rate else 0.0 for channel in laws]
-    return ca.Function(
-        "channels", [t, r, u, xi, c], [ca.densify(ca.vertcat(*map(ca.SX, each))) for each in (values, rates)]
-    )
 
 
 class DrivenMotion(SticksMotion):

@@ -691,6 +691,11 @@ def _replaced(clip: Clip, motion: Clip, window: tuple[float, float]) -> Clip:
             for name, values in clip.channels.items()
             if name in motion.channels
         },
+        channel_rates={
+            name: np.concatenate([values[before], motion.channel_rates[name], values[after]])
+            for name, values in clip.channel_rates.items()
+            if name in motion.channel_rates
+        },
         energy={
             name: joined(
                 values,

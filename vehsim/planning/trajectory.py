@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
-from vehsim.integrators.record import build_clip
+from vehsim.integrators.record import build_clip, measured_along
 from vehsim.planning.certificates import Executed, executed
 from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import Transcription
@@ -98,9 +98,8 @@ class Trajectory:
         anchor = np.zeros(3)
         if self.request.vehicle.group.dim == 3:
             anchor[2] = float(np.asarray(self.request.marks[0].position)[2])
-        return build_clip(
-            self.transcription.mechanics, times, g, r, pi, c, anchor, fps=self.request.fps, start_frame=start
-        )
+        mechanics, first = self.transcription.mechanics, {"fps": self.request.fps, "start_frame": start}
+        return measured_along(mechanics, build_clip(mechanics, times, g, r, pi, c, anchor, **first))
 
 
 def drawn(trajectory: Trajectory, world: Any) -> Clip:

@@ -79,20 +79,20 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
         width = values.shape[1:]
         return np.concatenate([np.zeros((len(before), *width)), values, np.zeros((len(after), *width))])
 
-    def onwards(values: Array) -> Array:
-        held = same(values)
+    def onwards(values: Array) -> tuple[Array, Array]:
+        held, rates = same(values), np.zeros(len(times))
         for index, beyond in ends:
             if len(clip) > 1 and not isinstance(clip.vehicle, Nonholonomic) and rests(clip, index):
                 a, b = (0, 1) if index == 0 else (-2, -1)
-                rate = (values[b] - values[a]) / (clip.times[b] - clip.times[a])
-                held[beyond] += rate * (times[beyond] - (clip.times[index] + shift))
-        return held
+                rates[beyond] = (values[b] - values[a]) / (clip.times[b] - clip.times[a])
+                held[beyond] += rates[beyond] * (times[beyond] - (clip.times[index] + shift))
+        return held, rates
 
     sprung = ("heave", "pitch", "roll") if "heave" in clip.channels else ()
     laws = clip.vehicle.channels
     follows = {name for name in clip.channels if name in laws and laws[name].rate is None}
     channels = {
-        name: same(values) if name in follows else onwards(values)
+        name: same(values) if name in follows else onwards(values)[0]
         for name, values in clip.channels.items()
         if name not in sprung
     }
@@ -106,6 +106,9 @@ def hold(clip: Clip, first: int, last: int) -> Clip:
         joint_rates=zero(clip.joint_rates),
         controls=controlled(clip.controls),
         channels=channels,
+        channel_rates={
+            name: zero(rates) + onwards(clip.channels[name])[1] for name, rates in clip.channel_rates.items()
+        },
         energy={name: same(values) for name, values in clip.energy.items()},
         commands={
             name: controlled(values, clip.vehicle.control_names.index(name)) for name, values in clip.commands.items()

@@ -141,6 +141,7 @@ def _joined(earlier: Clip, later: Clip) -> Clip:
         earlier,
         times=np.concatenate([earlier.times[:-1], later.times]),
         channels=channels,
+        channel_rates=_both(earlier.channel_rates, later.channel_rates),
         events=[*earlier.events, *later.events],
         energy=_both(earlier.energy, later.energy),
         commands=_both(earlier.commands, later.commands),
