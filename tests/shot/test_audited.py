@@ -9,6 +9,7 @@ import pytest
 
 from vehsim.errors import SolveError
 from vehsim.integrators import record
+from vehsim.planning import trajectory
 from vehsim.shot import Shot
 
 
@@ -49,6 +50,7 @@ def test_wheels_and_propellers_that_turn_in_a_hold_are_refused(name: str, monkey
     rule = record._rule
     monkeypatch.setattr(record, "UNEVEN", np.inf)
     monkeypatch.setattr(record, "_rule", lambda times, still: rule(times, np.zeros_like(still)))
+    monkeypatch.setattr(trajectory, "measured_along", lambda mechanics, clip: clip)
     part = "spinning.propeller" if name == "boat" else "rolling"
     with pytest.raises(SolveError, match=rf"{part} \(hold\): \d.* deg, .* allowed"):
         Shot.from_dict(SHOTS[name]).solve(cached=False)

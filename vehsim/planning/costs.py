@@ -123,8 +123,8 @@ def cost_element(
         inner: list[tuple[Any, Any]] = []
         view, vehicle = segment_view(transcription, v, inner=inner), transcription.vehicle
         parameters = {weight_of(name): ca.SX.sym(name) for name in names}
-        laws = {**COSTS, **({} if timed else UNTIMED)}
-        total = sum((parameters[weight_of(name)] * laws[name](view) for name in names), ca.SX(0))
+        laws = {name: COSTS[name] if timed or name not in UNTIMED else UNTIMED[name] for name in names}
+        total = sum((parameters[weight_of(name)] * law(view) for name, law in laws.items()), ca.SX(0))
         most = {name: ca.SX.sym(name) for name in (*limits, *rates)}
         excess = ca.SX(0)
         for name in limits:
