@@ -25,8 +25,8 @@ GROUND = 0.005
 """Largest distance from the ground of a wheel that rolls on it, m."""
 HELD, TURN, SHARE = 0.1, 2 * math.pi, 0.05
 """How far wheels may turn against their way in a hold, and in a motion; the latter also propellers and rotors against
-their laws in a hold, rad; and the share of the way by which each may do so in addition. Plans keep within a thousandth
-of a radian."""
+their laws in a hold, rad; and the share of the way by which each may do so in addition. In plans, wheels keep within
+0.002 rad."""
 
 
 def audit_clips(
