@@ -147,10 +147,7 @@ def channel_laws(vehicle: Vehicle) -> ca.Function:
     """``(t, r, u, xi, c) -> values, rates`` of the channels, with the twist ``xi`` (d,) of the rig's root."""
     t, r, u = ca.SX.sym("t"), ca.SX.sym("r", len(vehicle.joints)), ca.SX.sym("u", len(vehicle.joints))
     xi, c = ca.SX.sym("xi", vehicle.group.dim), ca.SX.sym("c", len(vehicle.controls))
-    o = vehicle.origin
-    body = ca.vertcat(xi[0], xi[1] - xi[0] * o[1], xi[2] + xi[0] * o[0]) if vehicle.group.planar else ca.vertcat(
-        xi[:3], xi[3:] + ca.cross(xi[:3], ca.DM(o))
-    )  # fmt: skip
+    body = vehicle.group.shift(xi, ca.DM(vehicle.origin))
     laws = vehicle.channels.values()
     values = [channel.value(t, r, u, body, c) if channel.rate is None and channel.value else 0.0 for channel in laws]
     rates = [channel.rate(t, r, u, body, c) if channel.rate else 0.0 for channel in laws]
