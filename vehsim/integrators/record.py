@@ -166,9 +166,10 @@ def measured_along(mechanics: DiscreteMechanics, clip: Clip) -> Clip:
     at = replace(clip, channels={}, channel_rates={}, energy={}).at(
         (clip.times[:-1, None] + h * (1 + nodes) / 2).ravel()
     )
-    laws = keep(mechanics, "channel laws", lambda: channel_laws(mechanics.vehicle))
-    rates = np.asarray(laws.map(len(at))(at.times[None], at.joints.T, at.joint_rates.T, at.twists.T, at.controls.T)[1])
-    turned = (rates.reshape(len(rates), -1, 3) @ weights) * h[:, 0] / 2
+    laws = keep(mechanics, "channel laws", lambda: Kernel(channel_laws(mechanics.vehicle)))
+    values, rates = np.empty((2, len(at), len(mechanics.vehicle.channels)))
+    laws.rows([at.times[:, None], at.joints, at.joint_rates, at.twists, at.controls], [values, rates])
+    turned = np.einsum("kij,i->jk", rates.reshape(len(h), 3, -1), weights) * h[:, 0] / 2
     totals = dict(
         zip(mechanics.vehicle.channels, np.hstack([0 * turned[:, :1], np.cumsum(turned, axis=1)]), strict=True)
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -96,9 +97,16 @@ class Kernel:
     def _block(self, size: int, carries: bool) -> tuple[Any, Any]:
         """Buffer and call of ``size`` rows at once, built once."""
         if (size, carries) not in self._blocks:
-            function = self.function.mapaccum(size) if carries else self.function.map(size)
-            self._blocks[size, carries] = (self.function if size == 1 else function).buffer()
+            self._blocks[size, carries] = _repeated(self.function, size, carries).buffer()
         return self._blocks[size, carries]
+
+
+@lru_cache(maxsize=32)
+def _repeated(function: ca.Function, size: int, carries: bool) -> ca.Function:
+    """The function of ``size`` rows at once; it is kept, as it takes longer to build than to run."""
+    if size == 1:
+        return function
+    return function.mapaccum(size) if carries else function.map(size)
 
 
 def each_part(count: int, threads: int, work: Callable[[slice], None]) -> None:
