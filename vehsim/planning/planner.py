@@ -95,8 +95,8 @@ otherwise takes a second solve. Below, it stays within them anyway; above, this 
 AS_GOOD = 1.01
 """Ratio of the cost of a motion near a stunt to that of one that this patience leaves unfinished, up to which it takes
 the other's place: more iterations would hardly improve it."""
-AT_ONCE = Patience(60, early=0.25, near=1e-2)
-"""That of a solve at once on the requested segments, refined: easy problems need 5 to 60 iterations there."""
+AT_ONCE = Patience(120, early=1.0)
+"""That of a solve at once on the requested segments, refined: easy problems need 5 to 110 iterations there."""
 CALM = 0.85
 """Ratio of a motion to the limits of its character below which it is not solved again within them."""
 STRAINED, WORTH = 1.15, 0.9
