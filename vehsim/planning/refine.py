@@ -16,6 +16,7 @@ from vehsim.planning.problem.solver import ENDLESS, HURRIED, Patience
 from vehsim.planning.request.request import Request
 from vehsim.planning.solve import solve
 from vehsim.planning.trajectory import Trajectory
+from vehsim.planning.trim import swims
 
 EXECUTED, OF_SIZE, OF_CLEARANCE = 0.1, 0.025, 0.5
 """Largest accepted distance between the end of the plan and the end of its executed controls: m, and fractions of the
@@ -145,7 +146,9 @@ def _solved_on(
         return replace(iterate, note=f"{note}{HURRIED}"), False
     finer = Trajectory(iterate.request, iterate.transcription, fine, prolongate(iterate, fine))
     blocks = tuple(block.prolongate(iterate, finer) for block in iterate.blocks)
-    start = replace(iterate, layout=fine, x=finer.x, blocks=blocks, prolongated=True)
+    # where joints swing to propel a vehicle, 10 of 11 solves from multipliers found no motion
+    kept = None if swims(iterate.request.vehicle) else iterate.multipliers
+    start = replace(iterate, layout=fine, x=finer.x, blocks=blocks, multipliers=kept, prolongated=True)
     solved = solve(run, start, patience)
     if solved.success:
         return solved, True
