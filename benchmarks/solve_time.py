@@ -187,14 +187,15 @@ HEAD = """# Solve time against an old version, measured
 {heading}
 `python -m benchmarks.solve_time OTHER_PYTHON` plans random problems from rest to rest in the default character, with
 this version and with commit {other}, whose character is a stunt, a problem at a time in turns. The numbers are CPU
-seconds of `vehsim.plan` in a warm process, the less of two (on terrain, which is measured once per process, of one); the
-first plan of each class is not counted. *Hurried* has three quarters of the time of *plain*; *way* has a mark to pass on
-the way, *hold* a rest of two seconds there; *free*: the planner chooses the last frame; *wind*: 2 to 8 m/s; *obstacles*:
-two to six boxes around the way; *terrain*: hills of 15 m. Ratios are those of problems that both versions solve, if this
-one keeps to the character `normal`; where marks leave too little time for it, it tries several characters.
+seconds of `vehsim.plan` in a warm process, the less of two runs, on terrain of one; the first plan of each class is not
+counted. *Hurried* has three quarters of the time of *plain*; *way* has a mark to pass on the way, *hold* a rest of two
+seconds there; *free*: the planner chooses the last frame; *wind*: 2 to 8 m/s; *obstacles*: two to six boxes around the
+way; *terrain*: hills of 15 m. Ratios are those of problems that both versions solve, if this one keeps to the character
+`normal`; where marks leave too little time for it, it tries several characters.
 
 Of {count} such problems, {within} take at most 1.5 times the CPU time; the median ratio is {median:.2f}. All together
-take {total:.2f} times the CPU time. Classes whose median is above 1.5: {slow}. Plans above 1.5: {above}.
+take {total:.2f} times the CPU time. Classes whose median is above 1.5: {slow}.
+Plans above 1.5: {above}.
 
 | class | ratio, median | most | all | CPU, median s: old | new | iterations: old | new | solved: old | new | normal |
 |---|---|---|---|---|---|---|---|---|---|---|

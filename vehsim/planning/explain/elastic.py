@@ -39,6 +39,8 @@ MORE_TIME = (0.1, 0.25, 0.5)
 """Shares of the time since the first mark that are added, in turn, where marks far from obstacles are missed."""
 SHARES = (0.5, 0.25, 0.0)
 """Shares of the requested clearance that are tried, in turn, where marks near obstacles are missed."""
+MUCH = 2.0
+"""Ratio of the later time since the first mark to the given one from which obstacles may be what is in the way."""
 NOTHING = 1e-3
 """Misses and delays below this count as zero, in m and s."""
 
@@ -85,12 +87,21 @@ def diagnose(run: Run, guess: Iterate) -> tuple[Why, Array | None]:
         return Why(), x
     late = too_early(run, guess if x is None else replace(guess, x=x)) or _by_leg(run, guess)
     unknown = bool(missed) and not late
-    clearance = _possible_clearance(run, guess) if unknown else None
+    near = unknown or (bool(missed) and _much_later(guess, late))
+    clearance = _possible_clearance(run, guess) if near else None
     later = _with_more_time(run, guess) if unknown and not guess.blocked else Why()
     closer = "" if clearance is None else f"a motion was found with clearance = {clearance:g}"
     remedies = [text for text in (closer, later.text) if text] or [guess.request.loosen] * unknown
     texts = filter(None, (late.text, missed, *remedies))
     return replace(late or later, text="; ".join(texts), clearance=clearance), None
+
+
+def _much_later(failed: Iterate, late: Why) -> bool:
+    """Whether a mark that is too early would be met only after a multiple of its time."""
+    marks = failed.request.marks
+    first = int(marks[0].frame)
+    given = [(mark.name, int(mark.given_frame)) for mark in marks if mark.given_frame is not None]
+    return any(late.frames.get(name, 0) - first > MUCH * (frame - first) for name, frame in given)
 
 
 def _possible_clearance(run: Run, failed: Iterate) -> float | None:
