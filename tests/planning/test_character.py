@@ -423,3 +423,19 @@ def test_a_look_that_turns_a_flight_too_fast_is_named_with_how_fast() -> None:
     assert made.success
     (said,) = (match for each in caught if (match := re.search(told, str(each.message))))
     assert float(said.group(1)) == pytest.approx(np.degrees(12 / 9), rel=0.02)
+
+
+def test_a_boat_turns_round_rather_than_back_up_all_the_way() -> None:
+    """Behind it, 46 m away: without the cost of its character, it never goes ahead."""
+    boat, rest = vehsim.load_vehicle("boat"), (0.0, 0.0, 0.0)
+    marks = [
+        Mark(1, position=rest, heading=0, velocity=rest),
+        Mark(1201, position=(-45, 8, 0), heading=60, velocity=rest),
+    ]
+
+    def astern(**asked: Any) -> float:
+        plan = vehsim.plan(boat, None, marks, **asked)
+        assert plan.success and plan.character == "normal"
+        return float(np.trapezoid(np.maximum(-plan.clip.twists[:, -2], 0.0), plan.clip.times))
+
+    assert astern() < 25 < 45 < astern(cost={"effort": 1.0, "course": 0.0})
