@@ -31,7 +31,7 @@ def test_a_snakeboard_gets_from_rest_to_rest(board, goal, heading, frame):
     """At the mark, in time, at rest; the controls alone lead there; no wheel slips sideways."""
     plan = vehsim.plan(board, None, to(goal, heading, frame), segments=48)
     assert plan.success and plan.clip.end_frame == frame
-    assert plan.executed.final < 0.02
+    assert plan.executed.final < 0.025  # a fortieth of its length
     last = plan.clip.at([plan.duration])
     np.testing.assert_allclose(last.positions[0, :2], goal, atol=1e-6)
     assert np.abs(last.twists).max() < 1e-6 and np.abs(last.joint_rates).max() < 1e-5
