@@ -157,29 +157,34 @@ def compared(pythons: list[str], vehicles: list[str], seeds: list[int]) -> tuple
     """The rows of each version. They plan a problem at a time in turns, `RUNS` times, and the least time counts; before
     it, one of its class that is not counted, as it loads libraries and builds derivatives."""
     rows: tuple[list[dict[str, Any]], ...] = tuple([] for _ in pythons)
-    pipe = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     for vehicle in vehicles:
-        command = [__file__, "--answer"]
-        sides: list[Any] = [subprocess.Popen([p, *command], cwd=Path(p).parents[2], **pipe) for p in pythons]  # type: ignore[call-overload]  # of a dictionary
-
-        def ask(side: Any, kind: str, seed: int, vehicle: str = vehicle) -> Any:
-            side.stdin.write(json.dumps([vehicle, kind, seed]) + "\n")
-            side.stdin.flush()
-            return json.loads(side.stdout.readline())
-
+        sides = [_started(python) for python in pythons]
         for kind in (kind for kind, having in KINDS.items() if vehicle in having):
-            for seed in [1000 + seeds[0], *seeds]:
-                tried = [
-                    [ask(side, kind, seed) for side in sides]
-                    for _ in range(1 if seed >= 1000 or kind == "terrain" else RUNS)
-                ]
-                for found, runs in zip(rows, zip(*tried, strict=True), strict=True):
-                    if seed < 1000:
-                        found.append(min(runs, key=lambda run: run["cpu"]))
+            for side in sides:
+                _ask(side, vehicle, kind, 1000 + seeds[0])
+            for seed in seeds:
+                runs = 1 if kind == "terrain" else RUNS
+                tried = [[_ask(side, vehicle, kind, seed) for side in sides] for _ in range(runs)]
+                for found, answers in zip(rows, zip(*tried, strict=True), strict=True):
+                    found.append(min(answers, key=lambda answer: answer["cpu"]))
         for side in sides:
             side.communicate()
         print(vehicle, *(sum(row["cpu"] for row in found) for found in rows), flush=True)
     return rows
+
+
+def _started(python: str) -> subprocess.Popen[str]:
+    """A process of one version that answers `_ask`."""
+    command, folder = [python, __file__, "--answer"], Path(python).parents[2]
+    return subprocess.Popen(command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def _ask(side: subprocess.Popen[str], *problem: str | int) -> dict[str, Any]:
+    assert side.stdin is not None and side.stdout is not None
+    side.stdin.write(json.dumps(problem) + "\n")
+    side.stdin.flush()
+    row: dict[str, Any] = json.loads(side.stdout.readline())
+    return row
 
 
 HEAD = """# Solve time against an old version, measured

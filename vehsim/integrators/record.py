@@ -14,6 +14,7 @@ from vehsim.clip.clip import Clip
 from vehsim.integrators.discrete import DiscreteMechanics, keep
 from vehsim.integrators.fast.kernel import Kernel, each_part
 from vehsim.lie.quaternions import continuous
+from vehsim.lie.vectorized import for_rows
 from vehsim.vehicles.definition.base import Array
 from vehsim.vehicles.definition.mechanics import drive_power, energy
 from vehsim.vehicles.definition.vehicle import Vehicle
@@ -166,9 +167,8 @@ def measured_along(mechanics: DiscreteMechanics, clip: Clip) -> Clip:
     at = replace(clip, channels={}, channel_rates={}, energy={}).at(
         (clip.times[:-1, None] + h * (1 + nodes) / 2).ravel()
     )
-    laws = keep(mechanics, "channel laws", lambda: Kernel(channel_laws(mechanics.vehicle)))
-    values, rates = np.empty((2, len(at), len(mechanics.vehicle.channels)))
-    laws.rows([at.times[:, None], at.joints, at.joint_rates, at.twists, at.controls], [values, rates])
+    laws = keep(mechanics, "channel laws", lambda: channel_laws(mechanics.vehicle))
+    rates = for_rows(laws, at.times[:, None], at.joints, at.joint_rates, at.twists, at.controls)[1]
     turned = np.einsum("kij,i->jk", rates.reshape(len(h), 3, -1), weights) * h[:, 0] / 2
     totals = dict(
         zip(mechanics.vehicle.channels, np.hstack([0 * turned[:, :1], np.cumsum(turned, axis=1)]), strict=True)

@@ -87,8 +87,8 @@ def diagnose(run: Run, guess: Iterate) -> tuple[Why, Array | None]:
         return Why(), x
     late = too_early(run, guess if x is None else replace(guess, x=x)) or _by_leg(run, guess)
     unknown = bool(missed) and not late
-    near = unknown or (bool(missed) and _much_later(guess, late))
-    clearance = _possible_clearance(run, guess) if near else None
+    in_the_way = unknown or (bool(missed) and _much_later(guess, late))
+    clearance = _possible_clearance(run, guess) if in_the_way else None
     later = _with_more_time(run, guess) if unknown and not guess.blocked else Why()
     closer = "" if clearance is None else f"a motion was found with clearance = {clearance:g}"
     remedies = [text for text in (closer, later.text) if text] or [guess.request.loosen] * unknown
