@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
-from vehsim.planning.certificates import FINEST, certify_plane, certify_walls
+from vehsim.planning.certificates import FINEST, certify_plane, certify_walls, extent
 from vehsim.planning.constraints.block import Block, Finding
 from vehsim.planning.constraints.features import CORNERS, Feature, body_of, element, form_of, gap
 from vehsim.planning.outlines import bounds_to, simplified
@@ -37,9 +37,12 @@ Active = NDArray[np.bool_]
 Poses = tuple[Array, Array, Array]
 """Positions (knots, 2 or 3) m, headings (knots,) rad and seconds (knots,) since frame 0."""
 
-SIGHT = 3.0
-"""Distance from the guess beyond the requested clearance, m, within which a part is active at a knot. If an inactive
-part comes too near, this is found after the solve, and the part becomes active."""
+SIGHT, SHARE = 1.0, 0.2
+"""Distance from the guess beyond the requested clearance, m, within which a part is active at a knot, and its least
+share of the vehicle's length. If an inactive part comes too near, this is found after the solve, and the part becomes
+active: farther sight costs more in every iteration than it saves in repeated solves."""
+DRAGGING = 3.0
+"""The same while an obstacle is dragged, m: a motion may follow it by half of this before the problem is built anew."""
 SPREAD = 2.0
 """Features of a part are active up to this much farther away than its nearest feature, m."""
 LEANS = 0.005
@@ -91,7 +94,8 @@ class ObstacleClearance(Block):
         if self.active.shape != shape:
             knots = (len(self.parts), len(poses[0]))
             extra = _stretched(self.extra, knots) if self.extra.size else np.full(knots, BETWEEN)
-            block = replace(block, extra=extra, active=np.zeros(shape, bool), sight=SIGHT)
+            sight = max(SIGHT, SHARE * extent(self.vehicle))
+            block = replace(block, extra=extra, active=np.zeros(shape, bool), sight=sight)
         return block._activated(block._gaps(poses))
 
     def violated(self, solved: Trajectory) -> ObstacleClearance:
@@ -243,9 +247,9 @@ class ObstacleClearance(Block):
         poses = poses_of(solved)
         if self.features != earlier.features:
             return self.near(poses)
-        block = replace(self, active=earlier.active, extra=earlier.extra, guess=poses)
+        block = replace(self, active=earlier.active, extra=earlier.extra, guess=poses, sight=DRAGGING)
         gaps = block._gaps(poses)
-        missing = ~block.active & (gaps < self.clearance + SIGHT / 2)
+        missing = ~block.active & (gaps < self.clearance + DRAGGING / 2)
         return replace(block, active=np.zeros_like(block.active))._activated(gaps) if missing.any() else block
 
 
