@@ -15,9 +15,9 @@ from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import certify_plane
 from vehsim.planning.certify import _hopeful, _settles
 from vehsim.planning.constraints.block import Finding
-from vehsim.planning.constraints.features import CORNERS, body_of, form_of, gap
+from vehsim.planning.constraints.features import CORNERS, bodies_of, form_of, gap
 from vehsim.planning.constraints.features import element as row_of
-from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
+from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance, Poses
 from vehsim.planning.drafts import draft
 from vehsim.planning.guesses import astar
 from vehsim.planning.guesses.astar import guess_drive, turning_radius
@@ -353,7 +353,7 @@ PARTS = [ob.polygon("p", [(0, 0), (3, 0), (2, 2)]), ob.ellipse("e", (1, 1), (2, 
 
 def rows_of(vehicle, shape, poses):
     """All features of a shape, (features, n) m, at poses (n, 3) of the root: yaw, x, y."""
-    form, body = form_of(shape), body_of(vehicle)
+    form, body = form_of(shape), bodies_of(vehicle)[0].outline
     numbers = form.numbers(shape)
     return np.array([
         np.ravel(gap(f.kind, body)(poses.T, np.tile(numbers[list(f.numbers)], (len(poses), 1)).T,
@@ -367,7 +367,7 @@ def test_rows_equal_the_exact_distance(car, part):
     """Outside, the smallest row is the distance of the optimiser's polygon from the part."""
     rng = np.random.default_rng(2)
     poses = np.column_stack([rng.uniform(-np.pi, np.pi, 300), rng.uniform(-7, 9, (300, 2))])
-    body = np.array(body_of(car))
+    body = np.array(bodies_of(car)[0].outline)
     exact = distance(placed(body, poses[:, 1:], poses[:, 0]), part.parts[0])
     poses, exact = poses[exact > 0.02], exact[exact > 0.02]
     assert len(exact) > 50
@@ -379,9 +379,9 @@ def test_frozen_expressions_do_not_change_derivatives(car, part):
     """Slopes and curvatures, although frozen, are the derivatives of the values: inside and outside."""
     t = transcribe(car)
     rng, shape = np.random.default_rng(4), part.parts[0]
-    kinds = {feature.kind: feature for feature in form_of(shape).features(shape, body_of(car))}
+    kinds = {feature.kind: feature for feature in form_of(shape).features(shape, bodies_of(car)[0].outline)}
     for kind, feature in kinds.items():
-        element = row_of(t, kind)
+        element = row_of(t, kind, 0)
         p = np.concatenate([form_of(shape).numbers(shape)[list(feature.numbers)], [0.5], feature.constants])
         value = lambda x, e=element, p=p: float(e.value(x, p)[1])
         for _ in range(12):
@@ -409,7 +409,7 @@ def test_a_thin_wall_across_the_car_is_detected(car):
 def test_only_features_near_each_other_become_rows(car):
     """A part in front: the car's tail and the part's far corners have no rows, and the others suffice."""
     world = World(obstacles=[ob.box("ahead", (7, 0, 0), (6, 3, 1))])
-    rows = rows_among(car, world).near((np.zeros((3, 3)), np.zeros(3), np.zeros(3)))
+    rows = rows_among(car, world).near(Poses(np.zeros((3, 3)), np.zeros(3), np.zeros(3)))
     seen = [feature for (_, feature), seen in zip(rows.features, rows.active[:, 1], strict=True) if seen]
     assert 0 < len(seen) < 0.7 * len(rows.features)
     assert all(feature.constants[0] > -1 for feature in seen if feature.constants)  # of the car, not its tail
@@ -444,12 +444,12 @@ def test_violated_obstacles_are_activated_near_the_violation(car):
     not."""
     world = World(obstacles=[ob.ellipse("e", (20, 0), (2, 1)), ob.ellipse("far", (20, 60), (2, 1))])
     positions, yaw, seconds = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41), np.zeros(41)
-    blind = rows_among(car, world).near((positions + 200, yaw, seconds))
+    blind = rows_among(car, world).near(Poses(positions + 200, yaw, seconds))
     assert not blind.active.any()
-    rows = blind.violated_at((positions, yaw, seconds))
+    rows = blind.violated_at(Poses(positions, yaw, seconds))
     near, far = (rows.active[rows.owners == part].any(axis=0) for part in (0, 1))
     assert near[16:25].all() and not near[:10].any() and not far.any()
-    assert not blind.active.any() and rows.violated_at((positions, yaw, seconds)) is rows
+    assert not blind.active.any() and rows.violated_at(Poses(positions, yaw, seconds)) is rows
 
 
 def test_active_sets_of_a_failed_refinement_are_dropped(car):
@@ -465,10 +465,10 @@ def test_a_violation_doubles_the_active_range_around_the_guess(car):
     """Knots slide along a guess: those before and behind a wall must have rows too."""
     along, still = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41)
     rows = rows_among(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]))
-    rows = rows.near((np.add(along, (0, 20, 0)), still, still))
+    rows = rows.near(Poses(np.add(along, (0, 20, 0)), still, still))
     assert not rows.active.any()
-    rows = rows.near((np.add(along, (0, 8.5, 0)), still, still))
-    before, seen = (one.active.any(axis=0) for one in (rows, rows.violated_at((along, still, still))))
+    rows = rows.near(Poses(np.add(along, (0, 8.5, 0)), still, still))
+    before, seen = (one.active.any(axis=0) for one in (rows, rows.violated_at(Poses(along, still, still))))
     assert before.any() and before.sum() + 4 < seen.sum() < 41  # of 3 m, 6 m ahead and behind
 
 
@@ -485,7 +485,7 @@ def test_cars_weave_between_walls(car):
 def test_rows_name_their_obstacle(car):
     """A failure therefore names the obstacle that is too near, not the number of a row."""
     rows = rows_among(car, World(obstacles=[ob.box("pier", (6, 0, 0), (2, 30, 1)), *WALLS]))
-    rows = rows.near((np.zeros((4, 3)), np.zeros(4), np.zeros(4)))
+    rows = rows.near(Poses(np.zeros((4, 3)), np.zeros(4), np.zeros(4)))
     t = transcribe(car)
     layout = Layout(t.sizes, (3,))
     problem = NonlinearProgram(layout.size)
@@ -502,9 +502,9 @@ def test_initial_guesses_measure_distances_only_where_needed(car, monkeypatch):
     """Costs, and distances up to what matters, equal those with exact distances everywhere."""
     ends = np.array([(0.0, 0, 0), (60, 0, 0)])
     parts = parts_in_reach(car, yard(3), across())
-    ground = astar._Ground(car, np.zeros(2), parts, ends[:, :2], 0.5, 0.5, ())
+    ground = astar._Ground(ob.footprint(car), parts, ends[:, :2], 0.5, 0.5, ())
     monkeypatch.setattr(astar, "gaps_to", lambda shape, grid, reach: distance(grid, shape))
-    exact = astar._Ground(car, np.zeros(2), parts, ends[:, :2], 0.5, 0.5, ())
+    exact = astar._Ground(ob.footprint(car), parts, ends[:, :2], 0.5, 0.5, ())
     assert np.array_equal(ground.price, exact.price) and np.array_equal(ground.demanded, exact.demanded)
     assert np.array_equal(ground.capped, exact.capped)
     assert not np.array_equal(ground.distance, exact.distance)

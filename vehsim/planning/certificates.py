@@ -17,8 +17,8 @@ from vehsim.integrators import DiscreteMechanics
 from vehsim.integrators.continuous import execute
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.outlines import bounds_to, gaps_to
-from vehsim.world.obstacles.articulated import articulated_footprint, swings_of
-from vehsim.world.obstacles.obstacles import Moving, footprint, hulls_of
+from vehsim.world.obstacles.articulated import articulated_footprint, fixed_footprint, swings_of
+from vehsim.world.obstacles.obstacles import Moving, hulls_of
 from vehsim.world.obstacles.plane import distance, placed
 
 Array = NDArray[np.float64]
@@ -194,11 +194,11 @@ class _Hulls(_Measure):
 class _Outlines(_Measure):
     """Distances of outlines in the plane to parts of obstacles, one row per part.
 
-    The outlines are those of the whole vehicle with its joints at rest, and of each articulated part.
+    The outlines are those of the vehicle and of each articulated part.
     """
 
     def __init__(self, clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float) -> None:
-        self.outline, self.articulated = footprint(clip.vehicle), articulated_footprint(clip.vehicle)
+        self.outline, self.articulated = fixed_footprint(clip.vehicle), articulated_footprint(clip.vehicle)
         around = [float(np.linalg.norm(self.outline, axis=1).max())]
         around += [float(np.linalg.norm(swing.pivots[0][2])) + swing.reach for swing in self.articulated]
         super().__init__(clip, [o for o, _ in parts if o.moves], max(around))

@@ -22,21 +22,22 @@ from vehsim.planning.outlines import inner_discs, simplified
 from vehsim.planning.problem.elements import Element
 from vehsim.planning.problem.transcription import Transcription
 from vehsim.vehicles import Vehicle
+from vehsim.world.obstacles.articulated import ArticulatedPart, articulated_footprint, fixed_footprint
 from vehsim.world.obstacles.obstacles import footprint
 from vehsim.world.obstacles.plane import Ellipse
 
 Array = NDArray[np.float64]
 Expr = Any
 Outline = tuple[tuple[float, float], ...]
-"""A vehicle in plan view, as the optimiser models it: corners in the rig root's frame, m."""
+"""A rigid part of a vehicle in plan view, as the optimiser models it: corners in the rig root's frame at rest, m."""
 Model = tuple[Expr, Expr, Expr]
 """The distance of a point from a shape to second order: value, slope (2,) and second derivatives (xx, yy, xy)."""
 Law = Callable[[Expr, Expr, Expr, Outline], tuple[Expr, Expr, Model]]
-"""A function of the root's pose (yaw, x, y), a shape's numbers, a feature's constants and the body. It returns the
+"""A function of a body's pose (yaw, x, y), a shape's numbers, a feature's constants and the body. It returns the
 radius to subtract from the distance, the point from which it is measured, and the model at that point."""
 
 CORNERS = 8
-"""Maximum number of corners of the polygon that models a vehicle; it contains the footprint."""
+"""Maximum number of corners of a polygon that models a vehicle; it contains the footprint."""
 ROUND = 1e-12
 """Added under square roots, m^2."""
 ROUNDS = 5
@@ -70,31 +71,65 @@ def form_of(shape: Any) -> Form:
     return FORMS[type(shape)]
 
 
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid part of a vehicle: its ``outline``; the ``trailer`` that it is of, None for the vehicle itself; and its
+    ``pose``, (yaw and position of the root, joints) -> those of the frame that was the root's at rest."""
+
+    outline: Outline
+    trailer: ArticulatedPart | None
+    pose: ca.Function
+
+
 @lru_cache(maxsize=64)
-def body_of(vehicle: Vehicle) -> Outline:
-    """The vehicle as the optimiser models it: a convex polygon with few corners around its footprint, or a point."""
-    return tuple((float(x), float(y)) for x, y in simplified(footprint(vehicle), CORNERS))
+def bodies_of(vehicle: Vehicle) -> tuple[Body, ...]:
+    """The vehicle as the optimiser models it: convex polygons with few corners around its footprint, or a point, and
+    around each trailer.
+
+    If something but the joints turns a trailer, the footprint contains all of them in line, and certification measures
+    where they are.
+    """
+    root, r = ca.SX.sym("root", 3), ca.SX.sym("r", len(vehicle.joints))
+    others = [ca.SX.sym("x", n) for n in (1, len(vehicle.joints), vehicle.group.dim, len(vehicle.controls))]
+
+    def body(outline: Array, trailer: ArticulatedPart | None, pose: Expr) -> Body:
+        corners = tuple((float(x), float(y)) for x, y in simplified(outline, CORNERS))
+        return Body(corners, trailer, ca.Function("pose", [root, r], [pose]))
+
+    made = [body(fixed_footprint(vehicle), None, root)]
+    for trailer in articulated_footprint(vehicle):
+        turned, shift = ca.SX(0), ca.SX.zeros(2)
+        for channel, factor, place in reversed(trailer.pivots):
+            law = vehicle.channels[channel].value
+            angle = None if law is None else ca.SX(law(others[0], r, *others[1:]))
+            if angle is None or ca.depends_on(angle, ca.vertcat(*others)):
+                return (body(footprint(vehicle), None, root),)
+            about = ca.DM(place)
+            turned, shift = turned + factor * angle, about + _turn(factor * angle) @ (shift - about)
+        made.append(body(trailer.outline, trailer, ca.vertcat(root[0] + turned, root[1:] + _turn(root[0]) @ shift)))
+    return tuple(made)
 
 
 @lru_cache(maxsize=256)
 def gap(kind: tuple[Law, int, int], body: Outline) -> ca.Function:
-    """Distance of a feature: ``(pose (3,), numbers, constants) -> m``; the pose is yaw and position of the root."""
+    """Distance of a feature: ``(pose (3,), numbers, constants) -> m``; the pose is yaw and position of the body."""
     pose, numbers, constants = _symbols(kind)
     less, _, (value, _, _) = kind[0](pose, numbers, constants, body)
     return ca.Function("gap", [pose, numbers, constants], [value - less])
 
 
 @lru_cache(maxsize=256)
-def element(transcription: Transcription, kind: tuple[Law, int, int]) -> Element:
-    """The row of features of a kind at a knot: (x).
+def element(transcription: Transcription, kind: tuple[Law, int, int], number: int) -> Element:
+    """The row of features of a kind and of one of the `bodies_of` the vehicle at a knot: (x).
 
     Parameters: the ``numbers`` of the shape, the requested ``clearance``, and the features' ``constants``.
     """
     x, clearance = transcription.symbols("x")["x"], ca.SX.sym("clearance")
     _, numbers, constants = _symbols(kind)
-    g = transcription.split(x)[0]
-    pose = ca.vertcat(g[0], g[1:3] - _turn(g[0]) @ ca.DM(transcription.vehicle.origin[:2]))
-    less, point, (value, slope, bend) = kind[0](pose, numbers, constants, body_of(transcription.vehicle))
+    g, r = transcription.split(x)[:2]
+    vehicle, body = transcription.vehicle, bodies_of(transcription.vehicle)[number]
+    pose = body.pose(ca.vertcat(g[0], g[1:3] - _turn(g[0]) @ ca.DM(vehicle.origin[:2])), r)
+    less, point, (value, slope, bend) = kind[0](pose, numbers, constants, body.outline)
     at, height, rise, curve = (ca.SX.sym(name, k) for name, k in (("at", 2), ("value", 1), ("slope", 2), ("bend", 3)))
     off = point - at
     squares = ca.vertcat(off[0] ** 2 / 2, off[1] ** 2 / 2, off[0] * off[1])

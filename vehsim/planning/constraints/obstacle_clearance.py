@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import FINEST, certify_plane, certify_walls, extent
 from vehsim.planning.constraints.block import Block, Finding
-from vehsim.planning.constraints.features import CORNERS, Feature, body_of, element, form_of, gap
+from vehsim.planning.constraints.features import CORNERS, Feature, Outline, bodies_of, element, form_of, gap
 from vehsim.planning.outlines import bounds_to, simplified
 from vehsim.planning.problem.elements import NonlinearProgram
 from vehsim.planning.problem.layout import Layout
@@ -29,13 +29,21 @@ from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.world.ground.placing import place_on_terrain
 from vehsim.world.ground.walls import Walls
-from vehsim.world.obstacles.articulated import articulated_footprint
+from vehsim.world.obstacles.articulated import ArticulatedPart
 from vehsim.world.obstacles.plane import placed
 
 Array = NDArray[np.float64]
 Active = NDArray[np.bool_]
-Poses = tuple[Array, Array, Array]
-"""Positions (knots, 2 or 3) m, headings (knots,) rad and seconds (knots,) since frame 0."""
+
+class Poses(NamedTuple):
+    """Those of a root: positions (knots, 2 or 3) m, headings (knots,) rad, seconds (knots,) since frame 0, and joints
+    (knots, s) that turn trailers."""
+
+    positions: Array
+    yaw: Array
+    seconds: Array
+    joints: Array = np.zeros((1, 0))
+
 
 SIGHT, SHARE = 1.0, 0.2
 """Distance from the guess beyond the requested clearance, m, within which a part is active at a knot, and its least
@@ -66,20 +74,31 @@ class ObstacleClearance(Block):
     extra: Array = field(default_factory=lambda: np.zeros((0, 0)))
     sight: float = SIGHT
     guess: Poses | None = None
+    height: float = 0.0
+    """That of the vehicle's root, m: trailers pass over what is lower than they are."""
     features: Any = ()
-    """All features: the index of the part, and the feature."""
+    """All features: the index of the part, that of the vehicle's body, and the feature."""
     owners: Any = None
     """The part (features,) that each feature belongs to."""
 
     def __post_init__(self) -> None:
         if self.owners is None:
-            shapes, body = [_shape_of(*part) for part in self.parts], body_of(self.vehicle)
-            pairs = [(row, one) for row, shape in enumerate(shapes) for one in form_of(shape).features(shape, body)]
-            object.__setattr__(self, "features", pairs)
-            object.__setattr__(self, "owners", np.array([row for row, _ in pairs], np.intp))
+            features = [
+                (row, number, one)
+                for row, (obstacle, k) in enumerate(self.parts)
+                for number, body in enumerate(bodies_of(self.vehicle))
+                if body.trailer is None or self._level(obstacle, body.trailer)
+                for one in _features(_shape_of(obstacle, k), body.outline)
+            ]
+            object.__setattr__(self, "features", features)
+            object.__setattr__(self, "owners", np.array([row for row, _, _ in features], np.intp))
+
+    def _level(self, obstacle: Any, trailer: ArticulatedPart) -> bool:
+        """Whether an obstacle is as high above the ground as a trailer."""
+        return bool(obstacle.bottom < self.height + trailer.top and obstacle.top > self.height + trailer.bottom)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
-        kinds = tuple((self.parts[row][0].name, row, self.parts[row][0].moves, one) for row, one in self.features)
+        kinds = tuple((self.parts[row][0].name, row, self.parts[row][0].moves, *one) for row, *one in self.features)
         return kinds, self.active.tobytes()
 
     def activate(self, guess: Trajectory) -> ObstacleClearance:
@@ -122,23 +141,23 @@ class ObstacleClearance(Block):
     def _gaps(self, poses: Poses) -> Array:
         """Distance of every feature at poses, (features, knots) m; inf beyond `sight` and at the start of the
         motion."""
-        (positions, yaw, seconds), features = poses, self.features
-        body, out = body_of(self.vehicle), np.full((len(features), len(yaw)), np.inf)
-        outlines = placed(np.array(body), positions[:, :2], yaw)
-        owners = self.owners
-        near = np.array(
-            [bounds_to(o.shapes_at(seconds)[k], outlines) < self.clearance + self.sight for o, k in self.parts]
-        )
-        near[:, 0] = False  # the start of the motion is fixed
-        placing, numbers = np.vstack([yaw, positions[:, :2].T]), [_numbers(*part, seconds) for part in self.parts]
-        for kind in dict.fromkeys(feature.kind for _, feature in features):
-            of_kind = [n for n, (_, feature) in enumerate(features) if feature.kind == kind]
-            where = [(n, np.flatnonzero(near[owners[n]])) for n in of_kind]
-            columns = [_columns(features[n][1], numbers[owners[n]], placing, knots) for n, knots in where]
-            rows, at = np.repeat(of_kind, [len(knots) for _, knots in where]), np.concatenate([k for _, k in where])
-            if len(rows):
-                found = gap(kind, body)(*map(np.hstack, zip(*columns, strict=True)))
-                out[rows, at] = np.asarray(found).ravel()
+        features, seconds = self.features, poses.seconds
+        out, reach = np.full((len(features), len(seconds)), np.inf), self.clearance + self.sight
+        shapes = [obstacle.shapes_at(seconds)[k] for obstacle, k in self.parts]
+        numbers = [_numbers(*part, seconds) for part in self.parts]
+        for number, body in enumerate(bodies_of(self.vehicle)):
+            pose = np.asarray(body.pose(np.vstack([poses.yaw, poses.positions.T[:2]]), poses.joints.T))
+            outlines = placed(np.array(body.outline), pose[1:].T, pose[0])
+            near = np.array([bounds_to(shape, outlines) < reach for shape in shapes])
+            near[:, 0] = False  # the start of the motion is fixed
+            for kind in dict.fromkeys(feature.kind for _, own, feature in features if own == number):
+                of_kind = [n for n, (_, own, feature) in enumerate(features) if (own, feature.kind) == (number, kind)]
+                where = [(n, np.flatnonzero(near[self.owners[n]])) for n in of_kind]
+                columns = [_columns(features[n][2], numbers[self.owners[n]], pose, knots) for n, knots in where]
+                rows, at = np.repeat(of_kind, [len(k) for _, k in where]), np.concatenate([k for _, k in where])
+                if len(rows):
+                    found = gap(kind, body.outline)(*map(np.hstack, zip(*columns, strict=True)))
+                    out[rows, at] = np.asarray(found).ravel()
         return out
 
     def add_active(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
@@ -151,15 +170,16 @@ class ObstacleClearance(Block):
             numbers = problem.parameter(_place(part), width, len(knots) if obstacle.moves else 1)
             needed = problem.parameter(_clearance_of(part), 1, len(knots))
             for n in np.flatnonzero((owners == part) & self.active.any(axis=1)):
-                feature, here = features[n][1], self.active[n, knots]
+                (_, body, feature), here = features[n], self.active[n, knots]
                 own = np.broadcast_to(numbers, (width, len(knots)))[list(feature.numbers)][:, here]
                 constants = np.tile(np.array(feature.constants)[:, None], np.sum(here))
-                uses.setdefault(feature.kind, []).append((layout.knot(knots[here]), own, needed[:, here], constants))
-                names.setdefault(feature.kind, []).extend([f"obstacle {obstacle.name!r}"] * int(here.sum()))
-        for kind, found in uses.items():
+                key = feature.kind, body
+                uses.setdefault(key, []).append((layout.knot(knots[here]), own, needed[:, here], constants))
+                names.setdefault(key, []).extend([f"obstacle {obstacle.name!r}"] * int(here.sum()))
+        for key, found in uses.items():
             variables, own, needed, constants = map(np.hstack, zip(*found, strict=True))
             parameters = {"numbers": own, "clearance": needed}
-            problem.add(element(transcription, kind), variables, parameters, {"constants": constants}, names[kind])
+            problem.add(element(transcription, *key), variables, parameters, {"constants": constants}, names[key])
 
     def values(self, trajectory: Trajectory) -> Mapping[str, Any]:
         seconds, values = trajectory.seconds(), {}
@@ -217,22 +237,13 @@ class ObstacleClearance(Block):
         return apart
 
     def tighten(self, trajectory: Trajectory, finding: Finding) -> ObstacleClearance:
-        """The block with a larger margin at both knots of segments that lack clearance.
-
-        An articulated part comes nearer than the rest of the vehicle, which is all that the rows model: its margin
-        counts from its present distance.
-        """
+        """The block with a larger margin at both knots of segments that lack clearance."""
         if finding.met:
             return self
         extra, beside = self.extra.copy(), np.zeros_like(self.extra)
         beside[:, :-1] = finding.lack
         beside[:, 1:] = np.maximum(beside[:, 1:], finding.lack)
         beside[:, 0] = 0.0
-        if articulated_footprint(self.vehicle):
-            gaps = np.full_like(extra, np.inf)
-            np.minimum.at(gaps, self.owners, self._gaps(poses_of(trajectory)))
-            given = (beside > 0) & np.isfinite(gaps)
-            extra[given] = np.maximum(extra, gaps - self.clearance)[given]
         for part, knots in self._active_at():  # inactive parts only need to become active
             extra[part, knots] += np.where(beside[part, knots] > 0, beside[part, knots] + FINEST, 0.0)
             beside[part, knots] = 0.0
@@ -263,12 +274,16 @@ def _clearance_of(part: int) -> str:
 
 def poses_of(trajectory: Trajectory) -> Poses:
     """The poses at a driving vehicle's knots."""
-    return *trajectory.poses(), trajectory.seconds()
+    return Poses(*trajectory.poses(), trajectory.seconds(), trajectory.knots()[1])
 
 
 def _shape_of(obstacle: Any, number: int) -> Any:
     """A part as the optimiser models it; that of a vehicle in its root's frame."""
     return simplified(obstacle.outline, CORNERS) if obstacle.moves else obstacle.parts[number]
+
+
+def _features(shape: Any, outline: Outline) -> list[Feature]:
+    return form_of(shape).features(shape, outline)
 
 
 def _numbers(obstacle: Any, number: int, seconds: Array) -> Array:

@@ -12,7 +12,7 @@ import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any
 
@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 
 from vehsim.errors import SolveError
 from vehsim.planning.guesses import dubins
+from vehsim.planning.guesses.pacing import changes_of_gear
 from vehsim.planning.outlines import gaps_to, inner_discs
 from vehsim.vehicles import Nonholonomic, Vehicle
+from vehsim.world.obstacles.articulated import fixed_footprint
 from vehsim.world.obstacles.obstacles import footprint
 
 Array = NDArray[np.float64]
@@ -83,30 +85,46 @@ def guess_drive(
     lead = np.asarray(vehicle.origin[:2], float) if radius > 0 else np.zeros(2)
     shy = SHY * 4 ** (wariness + len(vehicle.tied))  # the search does not know where a trailer swings
     places = ends[:, :2] + _turned(np.array(nose), lead)
-    ground = _Ground(vehicle, lead, parts, places, clearance, shy, met)
-    path = ground.descend()
+    path, poses, shifts = None, None, math.inf
+    for outline in _outlines(vehicle):
+        grounds = partial(_Ground, outline - lead, parts, places, shy=shy, met=met)
+        ground = grounds(clearance)
+        path, found = ground.descend(), None
+        if path is not None and radius > 0:
+            found = _arcs(ground, radius, (nose[0], headings[1]))
+        if found is not None and (changes := _shifts(found)) < shifts:
+            poses, shifts = found, changes
+        if path is not None and (radius == 0 or shifts == 0):
+            break
     if path is None:
-
-        def opened(less: float) -> bool:
-            return _Ground(vehicle, lead, parts, places, less, shy, met).descend() is not None
-
         between = " to ".join("(" + ", ".join(f"{v:g}" for v in end[:2]) + ")" for end in ends)
-        shares = SHARES if clearance > 0 and not met else ()
-        less = next((value for share in shares if opened(value := float(f"{share * clearance:.2g}"))), None)
+        tried = (float(f"{share * clearance:.2g}") for share in (SHARES if clearance > 0 and not met else ()))
+        less = next((value for value in tried if grounds(value).descend() is not None), None)
         lower = "" if less is None else f", lower the clearance to {less:g} m at most"
         remedy = f"open a gap{lower}, or move the mark"
         raise SolveError(f"no path from {between} with {clearance:g} m clearance: obstacles close it", remedy)
-    poses = None
-    for slack, share in product((0.0, ground.partly), STEPS) if radius > 0 else ():
-        search = _Search(ground, radius, (nose[0], headings[1]), share, slack)
-        poses = search.find()
-        if poses is not None or search.looked >= POSES:
-            break
     if poses is None or not isinstance(vehicle, Nonholonomic):
         straight = _facing(ground.pull(path), headings)
         poses = straight if poses is None or _length(poses) > LOOP * _length(straight) else poses
     root = poses[:, :2] - _turned(poses[:, 2], lead)
     return np.column_stack([root, np.linspace(ends[0, 2], ends[1, 2], len(poses)), poses[:, 2]])
+
+
+def _outlines(vehicle: Vehicle) -> list[Array]:
+    """The outlines (k, 2) m with which a path is searched: with trailers in line, and without them, which swing out of
+    the way in bends."""
+    whole, alone = footprint(vehicle), fixed_footprint(vehicle)
+    return [whole] if np.array_equal(whole, alone) else [whole, alone]
+
+
+def _arcs(ground: _Ground, radius: float, headings: Sequence[float | None]) -> Array | None:
+    """Poses (k, 3) x, y m and heading rad from start to goal by arcs, or None if none were found."""
+    for slack, share in product((0.0, ground.partly), STEPS):
+        search = _Search(ground, radius, headings, share, slack)
+        poses = search.find()
+        if poses is not None or search.looked >= POSES:
+            return poses
+    return None
 
 
 @lru_cache(maxsize=64)
@@ -137,13 +155,12 @@ def _guessed_radius(vehicle: Vehicle) -> float:
 
 
 class _Ground:
-    """Distances on a grid around two places ``ends`` (2, 2) of a vehicle's reference point ``lead`` (2,), and its free
-    cells."""
+    """Distances on a grid around two places ``ends`` (2, 2) of a vehicle's reference point, from which its ``outline``
+    (k, 2) is measured, and its free cells."""
 
     def __init__(
         self,
-        vehicle: Vehicle,
-        lead: Array,
+        outline: Array,
         parts: Sequence[tuple[Any, int]],
         ends: Array,
         clearance: float,
@@ -151,7 +168,6 @@ class _Ground:
         met: Sequence[Array],
     ) -> None:
         self.ends, self.clearance = ends, clearance
-        outline = footprint(vehicle) - lead
         discs = inner_discs(outline) or [(np.zeros(2), 0.0)]
         self.points = np.vstack([*(centre for centre, _ in discs), outline])
         self.radii = np.array([*(radius for _, radius in discs), *np.zeros(len(outline))])
@@ -448,6 +464,11 @@ def _turned(angle: Array, point: Array) -> Array:
     """``point`` (2,) rotated by angles (n,) rad: (n, 2)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.column_stack([c * point[0] - s * point[1], s * point[0] + c * point[1]])
+
+
+def _shifts(poses: Array) -> int:
+    """How often the direction changes along poses (k, 3)."""
+    return int(changes_of_gear(np.insert(poses, 2, 0.0, axis=1))[-1])
 
 
 def _length(path: Array) -> float:
