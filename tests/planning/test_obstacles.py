@@ -33,6 +33,7 @@ from vehsim.planning.request.request import make_request
 from vehsim.planning.trajectory import Trajectory
 from vehsim.rig.parts import read_parts
 from vehsim.world.obstacles import obstacles as ob
+from vehsim.world.obstacles.articulated import articulated_footprint
 from vehsim.world.obstacles.plane import distance, placed
 from vehsim.world.terrain.terrain import Terrain
 
@@ -215,6 +216,42 @@ def test_a_trailer_near_an_obstacle_is_named(place, joints, told):
     truck, world = vehsim.load_vehicle("truck"), World(obstacles=[ob.box("wall", place, (2, 2, 4))])
     marks = [Mark(1, position=REST, heading=0, velocity=REST, joints=joints)]
     assert [message for _, message, _ in marks_too_near(truck, world, marks, 1.0)] == [told] * (told is not None)
+
+
+@pytest.mark.parametrize("width", [9.0, 7.0])
+def test_a_truck_turns_into_a_street(width):
+    """Its trailer, 8.6 m behind the king pin, follows it round the corner; in line with it, it would be in a house."""
+    truck, half = vehsim.load_vehicle("truck"), width / 2
+    houses = {"corner": ((-10, 30), (60, 60)), "south": ((0, -5), (120, 10)), "east": ((25, 30), (10, 140))}
+    aside = {"corner": (-half, half), "south": (0, -half), "east": (half, 0)}
+    world = World(obstacles=[
+        ob.box(name, (x + aside[name][0], y + aside[name][1], 0), (*size, 8))
+        for name, ((x, y), size) in houses.items()
+    ])  # fmt: skip
+    marks = [
+        Mark(1, position=(-22, 0, 0), heading=0, velocity=REST),
+        Mark(961, position=(20, 45, 0), heading=90, velocity=REST),
+    ]
+    plan = vehsim.plan(truck, world, marks, clearance=0.3)
+    assert plan.success and plan.character == "normal", plan.message
+    clip = plan.clip.at(np.linspace(0, plan.clip.times[-1], 1500))
+    assert clip.twists[:, 1].min() > -0.1  # it does not back up
+    assert world.clearance(truck, clip.positions, clip.orientations, channels=clip.channels).min() >= 0.3 - 2e-3
+    straight = placed(ob.footprint(truck), clip.positions[:, :2], yaw_of(clip.orientations))
+    assert min(distance(straight, obstacle.parts[0]).min() for obstacle in world.obstacles) < -0.5
+
+
+def test_rows_place_a_trailer_where_it_is():
+    """Behind a turned tractor, folded: by its outline as the rig turns it."""
+    truck = vehsim.load_vehicle("truck")
+    [part], (_, body) = articulated_footprint(truck), bodies_of(truck)
+    rng = np.random.default_rng(5)
+    yaw, places, folded = rng.uniform(-3, 3, 40), rng.uniform(-9, 9, (40, 2)), rng.uniform(-1.5, 1.5, 40)
+    joints = np.zeros((len(truck.joints), 40))
+    joints[truck.joints.index("hitch_1")] = folded
+    turned, *place = np.asarray(body.pose(np.vstack([yaw, places.T]), joints))
+    expected = placed(part.at({"hitch_1": folded}), places, yaw)
+    np.testing.assert_allclose(placed(part.outline, np.transpose(place), turned), expected, atol=1e-12)
 
 
 def test_a_swinging_trailer_keeps_its_clearance():
@@ -410,7 +447,7 @@ def test_only_features_near_each_other_become_rows(car):
     """A part in front: the car's tail and the part's far corners have no rows, and the others suffice."""
     world = World(obstacles=[ob.box("ahead", (7, 0, 0), (6, 3, 1))])
     rows = rows_among(car, world).near(Poses(np.zeros((3, 3)), np.zeros(3), np.zeros(3)))
-    seen = [feature for (_, feature), seen in zip(rows.features, rows.active[:, 1], strict=True) if seen]
+    seen = [feature for (_, _, feature), seen in zip(rows.features, rows.active[:, 1], strict=True) if seen]
     assert 0 < len(seen) < 0.7 * len(rows.features)
     assert all(feature.constants[0] > -1 for feature in seen if feature.constants)  # of the car, not its tail
     gaps = rows_of(car, world.obstacles[0].parts[0], np.zeros((1, 3)))[:, 0]
@@ -467,9 +504,9 @@ def test_a_violation_doubles_the_active_range_around_the_guess(car):
     rows = rows_among(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]))
     rows = rows.near(Poses(np.add(along, (0, 20, 0)), still, still))
     assert not rows.active.any()
-    rows = rows.near(Poses(np.add(along, (0, 8.5, 0)), still, still))
+    rows = rows.near(Poses(np.add(along, (0, 6.0, 0)), still, still))
     before, seen = (one.active.any(axis=0) for one in (rows, rows.violated_at(Poses(along, still, still))))
-    assert before.any() and before.sum() + 4 < seen.sum() < 41  # of 3 m, 6 m ahead and behind
+    assert before.any() and before.sum() + 4 < seen.sum() < 41  # of 1 m, 2 m ahead and behind
 
 
 def test_cars_weave_between_walls(car):
@@ -484,7 +521,7 @@ def test_cars_weave_between_walls(car):
 
 def test_rows_name_their_obstacle(car):
     """A failure therefore names the obstacle that is too near, not the number of a row."""
-    rows = rows_among(car, World(obstacles=[ob.box("pier", (6, 0, 0), (2, 30, 1)), *WALLS]))
+    rows = rows_among(car, World(obstacles=[ob.box("pier", (5, 0, 0), (2, 30, 1)), *WALLS]))
     rows = rows.near(Poses(np.zeros((4, 3)), np.zeros(4), np.zeros(4)))
     t = transcribe(car)
     layout = Layout(t.sizes, (3,))

@@ -35,6 +35,7 @@ from vehsim.world.obstacles.plane import placed
 Array = NDArray[np.float64]
 Active = NDArray[np.bool_]
 
+
 class Poses(NamedTuple):
     """Those of a root: positions (knots, 2 or 3) m, headings (knots,) rad, seconds (knots,) since frame 0, and joints
     (knots, s) that turn trailers."""
