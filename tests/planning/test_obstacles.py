@@ -445,7 +445,7 @@ def test_a_thin_wall_across_the_car_is_detected(car):
 
 def test_only_features_near_each_other_become_rows(car):
     """A part in front: the car's tail and the part's far corners have no rows, and the others suffice."""
-    world = World(obstacles=[ob.box("ahead", (7, 0, 0), (6, 3, 1))])
+    world = World(obstacles=[ob.box("ahead", (6, 0, 0), (6, 3, 1))])
     rows = rows_among(car, world).near(Poses(np.zeros((3, 3)), np.zeros(3), np.zeros(3)))
     seen = [feature for (_, _, feature), seen in zip(rows.features, rows.active[:, 1], strict=True) if seen]
     assert 0 < len(seen) < 0.7 * len(rows.features)
@@ -500,13 +500,15 @@ def test_active_sets_of_a_failed_refinement_are_dropped(car):
 
 def test_a_violation_doubles_the_active_range_around_the_guess(car):
     """Knots slide along a guess: those before and behind a wall must have rows too."""
-    along, still = np.column_stack([np.linspace(0, 40, 41), np.zeros((41, 2))]), np.zeros(41)
+    along, still = np.column_stack([np.linspace(0, 40, 161), np.zeros((161, 2))]), np.zeros(161)
     rows = rows_among(car, World(obstacles=[ob.box("wall", (20, 0, 0), (1, 8, 1))]))
     rows = rows.near(Poses(np.add(along, (0, 20, 0)), still, still))
     assert not rows.active.any()
-    rows = rows.near(Poses(np.add(along, (0, 6.0, 0)), still, still))
+    rows = rows.near(Poses(np.add(along, (0, 6.0, 0)), still, still))  # 1 m beside the wall
     before, seen = (one.active.any(axis=0) for one in (rows, rows.violated_at(Poses(along, still, still))))
-    assert before.any() and before.sum() + 4 < seen.sum() < 41  # of 1 m, 2 m ahead and behind
+    ahead = along[:, 0] - 20 - 0.5 - np.ptp(ob.footprint(car)[:, 0]) / 2
+    assert before.any() and 0.8 < ahead[before].max() < 1.2  # within 1.5 m of the corner
+    assert 2.0 < ahead[seen].max() < 2.6  # within 2.5 m
 
 
 def test_cars_weave_between_walls(car):
@@ -521,7 +523,7 @@ def test_cars_weave_between_walls(car):
 
 def test_rows_name_their_obstacle(car):
     """A failure therefore names the obstacle that is too near, not the number of a row."""
-    rows = rows_among(car, World(obstacles=[ob.box("pier", (5, 0, 0), (2, 30, 1)), *WALLS]))
+    rows = rows_among(car, World(obstacles=[ob.box("pier", (4, 0, 0), (2, 30, 1)), *WALLS]))
     rows = rows.near(Poses(np.zeros((4, 3)), np.zeros(4), np.zeros(4)))
     t = transcribe(car)
     layout = Layout(t.sizes, (3,))
