@@ -13,7 +13,7 @@ from vehsim import Mark, State, World
 from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import certify_plane
-from vehsim.planning.certify import _hopeful, _settles
+from vehsim.planning.certify import _settles
 from vehsim.planning.constraints.block import Finding
 from vehsim.planning.constraints.features import CORNERS, bodies_of, form_of, gap
 from vehsim.planning.constraints.features import element as row_of
@@ -621,22 +621,3 @@ def test_worlds_of_the_same_shapes_share_a_problem(car):
 def test_tightening_ends_where_it_gains_little_within_the_tolerance(before: float, after: float, settled: bool) -> None:
     found = [SimpleNamespace(certificate=Certificate((Finding(gap, 0.15, False),))) for gap in (before, after)]
     assert _settles(*found) is settled
-
-
-@pytest.mark.parametrize(
-    ("lacks", "hopeful"),
-    [
-        ([0.1] * 5, True),
-        ([0.1] * 6, False),
-        ([0.1, 0.1, 0.1, 0.1, 0.1, 0.09], True),
-        ([0.1, 0.1, 0.1, 0.1, 0.09, 0.09, 0.09, 0.09], False),
-        ([0.1 * 0.9**k for k in range(15)], True),
-        ([0.1 * 0.9**k for k in range(16)], False),
-    ],
-)
-def test_tightening_goes_on_while_it_brings_the_motion_nearer(lacks: list[float], hopeful: bool) -> None:
-    known: list[float] = []
-    for k, lack in enumerate(lacks):
-        found = SimpleNamespace(certificate=Certificate((Finding(1.0 - lack, 1.0, False),)), tightenings=k)
-        goes_on = _hopeful(found, known)
-    assert goes_on is hopeful

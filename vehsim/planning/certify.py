@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from vehsim.planning.constraints.clearance import SLACK
@@ -10,11 +9,8 @@ from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.refine import refine
 from vehsim.planning.solve import measured
 
-TIGHTENINGS, MOST_TIGHTENINGS = 5, 15
-"""Maximum number of tighter solves for a motion that comes too near or violates a constraint between knots; and for one
-that lacks less and less clearance, because a trailer follows its vehicle's margins slowly."""
-NEARS, RECENT = 0.98, 3
-"""It lacks less if `NEARS` or less is left of what it lacked `RECENT` solves before."""
+TIGHTENINGS = 5
+"""Maximum number of tighter solves for a motion that comes too near or violates a constraint between knots."""
 
 
 def certify(run: Run, iterate: Iterate) -> Iterate:
@@ -36,8 +32,7 @@ def refine_and_certify(run: Run, iterate: Iterate) -> Iterate:
     If a tighter problem has no solution, the previous iterate is returned.
     """
     iterate = certify(run, refine(run, iterate))
-    lacks: list[float] = []
-    while _unmet(iterate) and _hopeful(iterate, lacks) and not run.deadline.late:
+    while _unmet(iterate) and iterate.tightenings < TIGHTENINGS and not run.deadline.late:
         tighter = refine(run, tighten(iterate), before=iterate)
         if not tighter.success:
             break
@@ -49,15 +44,6 @@ def refine_and_certify(run: Run, iterate: Iterate) -> Iterate:
 
 def _unmet(iterate: Iterate) -> bool:
     return iterate.success and iterate.certificate is not None and not iterate.certificate.met
-
-
-def _hopeful(iterate: Iterate, lacks: list[float]) -> bool:
-    """Whether another tighter solve may help; ``lacks``: the clearances that motions lacked before, of which this one's
-    becomes the last."""
-    assert iterate.certificate is not None
-    lacks.append(math.inf if iterate.certificate.messages else iterate.certificate.lack)
-    nearer = len(lacks) > RECENT and lacks[-1] < NEARS * lacks[-1 - RECENT]
-    return iterate.tightenings < (MOST_TIGHTENINGS if nearer else TIGHTENINGS)
 
 
 def _settles(before: Iterate, after: Iterate) -> bool:
