@@ -28,7 +28,7 @@ from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.legs import divided, same_choices
 from vehsim.planning.request.marks import Gate
-from vehsim.planning.request.marks_near_obstacles import marks_too_near, parts_in_reach, straightened
+from vehsim.planning.request.marks_near_obstacles import levels_at, marks_too_near, parts_in_reach, straightened
 from vehsim.planning.request.request import make_request
 from vehsim.planning.trajectory import Trajectory
 from vehsim.rig.parts import read_parts
@@ -252,6 +252,22 @@ def test_rows_place_a_trailer_where_it_is():
     turned, *place = np.asarray(body.pose(np.vstack([yaw, places.T]), joints))
     expected = placed(part.at({"hitch_1": folded}), places, yaw)
     np.testing.assert_allclose(placed(part.outline, np.transpose(place), turned), expected, atol=1e-12)
+
+
+def test_trailers_meet_what_stands_higher_up_the_hill():
+    """On a slope, 10 m above the first mark, a crate is as high above the ground as the trailer."""
+    truck, slope = (
+        vehsim.load_vehicle("truck"),
+        Terrain("slope", np.outer(np.ones(6), np.arange(13.0)), (0, -25), (10, 10)),
+    )
+    world = World(terrain=slope, obstacles=[ob.box("crate", (100, 5, 10), (2, 2, 2))])
+    marks = [replace(mark, position=(20.0 + mark.position[0], 0, 2.0)) for mark in across(90.0)]
+    parts = parts_in_reach(truck, world, marks)
+    levels = levels_at(truck, world, marks, parts)
+    assert levels == pytest.approx([10.0], abs=0.2)
+    rows = ObstacleClearance(truck, parts, 0.5, levels=levels)
+    assert {number for _, number, _ in rows.features} == {0, 1}
+    assert {number for _, number, _ in replace(rows, levels=[0.0], owners=None).features} == {0}
 
 
 def test_a_swinging_trailer_keeps_its_clearance():

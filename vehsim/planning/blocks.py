@@ -14,8 +14,7 @@ from vehsim.planning.constraints.path_constraints import PathConstraint
 from vehsim.planning.constraints.timing import Timing
 from vehsim.planning.costs import OwnCost, RunningCosts
 from vehsim.planning.problem.transcription import Transcription
-from vehsim.planning.request.legs import mark_positions
-from vehsim.planning.request.marks_near_obstacles import parts_in_reach
+from vehsim.planning.request.marks_near_obstacles import levels_at, parts_in_reach
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import Cost, HazardView, costs_of
 from vehsim.vehicles.definition.character import STUNT
@@ -45,8 +44,8 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
         blocks.append(Loop())
     parts = parts_in_reach(request.vehicle, request.world, marks, request.clearance)
     if parts:
-        height = float(mark_positions(marks)[0, 2])
-        blocks.append(ObstacleClearance(request.vehicle, parts, request.clearance, height=height))
+        levels = levels_at(request.vehicle, request.world, marks, parts)
+        blocks.append(ObstacleClearance(request.vehicle, parts, request.clearance, levels=levels))
     blocks += [PathConstraint(term, marks, number) for number, term in enumerate(constraints)]
     blocks += [OwnCost(term, marks) for term in request.terms if isinstance(term, Cost)]
     if not request.vehicle.group.planar:

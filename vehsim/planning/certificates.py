@@ -85,20 +85,25 @@ def certify_walls(clip: Clip, world: Any) -> tuple[float, Array]:
 
 
 def certify_plane(
-    clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float = 0.0, samples: int = SAMPLES
+    clip: Clip,
+    parts: Sequence[tuple[Any, int]],
+    wanted: float = 0.0,
+    samples: int = SAMPLES,
+    levels: Sequence[float] = (),
 ) -> tuple[float, Array]:
     """Smallest signed distance (m) between a clip's vehicle and the parts, and the same per part and segment.
 
     Intervals in which the motion could come nearer than the smallest distance so far are halved until that distance is
     known to `FINEST`. The values per segment are the smallest of the samples; values above both that distance and
-    ``wanted`` m are lower bounds.
+    ``wanted`` m are lower bounds. ``levels``: the heights at which the vehicle passes the parts, m, by default that of
+    the clip; trailers pass over what is lower than they are.
     """
     if not parts or len(clip) < 2:
         return float("inf"), np.full((len(parts), max(len(clip) - 1, 1)), np.inf)
     turned = {name for part in articulated_footprint(clip.vehicle) for name, _, _ in part.pivots}
     channels = {name: values for name, values in clip.channels.items() if name in turned}
     bare = replace(clip, channels=channels, energy={})  # keep only what the outlines depend on
-    return _nearest(_Outlines(bare, parts, wanted), samples)
+    return _nearest(_Outlines(bare, parts, wanted, levels or [float(clip.positions[0, 2])] * len(parts)), samples)
 
 
 def _nearest(
@@ -197,14 +202,15 @@ class _Outlines(_Measure):
     The outlines are those of the vehicle and of each articulated part.
     """
 
-    def __init__(self, clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float) -> None:
+    def __init__(self, clip: Clip, parts: Sequence[tuple[Any, int]], wanted: float, levels: Sequence[float]) -> None:
         self.outline, self.articulated = fixed_footprint(clip.vehicle), articulated_footprint(clip.vehicle)
         around = [float(np.linalg.norm(self.outline, axis=1).max())]
         around += [float(np.linalg.norm(swing.pivots[0][2])) + swing.reach for swing in self.articulated]
         super().__init__(clip, [o for o, _ in parts if o.moves], max(around))
-        self.parts, self.wanted, height = parts, wanted, float(clip.positions[0, 2])
+        self.parts, self.wanted = parts, wanted
         self.meets = [
-            [s for s in self.articulated if o.bottom < height + s.top and o.top > height + s.bottom] for o, _ in parts
+            [swing for swing in self.articulated if swing.meets(o, level)]
+            for (o, _), level in zip(parts, levels, strict=True)
         ]
 
     def __call__(self, times: Array, pairs: NDArray[np.intp], nearest: float) -> tuple[Array, Array]:

@@ -29,7 +29,6 @@ from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.world.ground.placing import place_on_terrain
 from vehsim.world.ground.walls import Walls
-from vehsim.world.obstacles.articulated import ArticulatedPart
 from vehsim.world.obstacles.plane import placed
 
 Array = NDArray[np.float64]
@@ -75,28 +74,27 @@ class ObstacleClearance(Block):
     extra: Array = field(default_factory=lambda: np.zeros((0, 0)))
     sight: float = SIGHT
     guess: Poses | None = None
-    height: float = 0.0
-    """That of the vehicle's root, m: trailers pass over what is lower than they are."""
+    levels: Sequence[float] = ()
+    """The heights at which the vehicle passes the parts, m; trailers pass over what is lower than they are. By default
+    zero."""
     features: Any = ()
     """All features: the index of the part, that of the vehicle's body, and the feature."""
     owners: Any = None
     """The part (features,) that each feature belongs to."""
 
     def __post_init__(self) -> None:
+        if not len(self.levels):
+            object.__setattr__(self, "levels", [0.0] * len(self.parts))
         if self.owners is None:
             features = [
                 (row, number, one)
-                for row, (obstacle, k) in enumerate(self.parts)
+                for row, ((obstacle, k), level) in enumerate(zip(self.parts, self.levels, strict=True))
                 for number, body in enumerate(bodies_of(self.vehicle))
-                if body.trailer is None or self._level(obstacle, body.trailer)
+                if body.trailer is None or body.trailer.meets(obstacle, level)
                 for one in _features(_shape_of(obstacle, k), body.outline)
             ]
             object.__setattr__(self, "features", features)
             object.__setattr__(self, "owners", np.array([row for row, _, _ in features], np.intp))
-
-    def _level(self, obstacle: Any, trailer: ArticulatedPart) -> bool:
-        """Whether an obstacle is as high above the ground as a trailer."""
-        return bool(obstacle.bottom < self.height + trailer.top and obstacle.top > self.height + trailer.bottom)
 
     def key(self, layout: Layout, transcription: Transcription) -> Hashable:
         kinds = tuple((self.parts[row][0].name, row, self.parts[row][0].moves, *one) for row, *one in self.features)
@@ -199,7 +197,7 @@ class ObstacleClearance(Block):
 
     def measure(self, trajectory: Trajectory, clip: Clip, progress: Progress | None) -> Finding:
         """The smallest clearance, and the shortfall per part and segment."""
-        nearest, by_segment = certify_plane(clip, self.parts, self.clearance)
+        nearest, by_segment = certify_plane(clip, self.parts, self.clearance, levels=self.levels)
         leaning = self._leaning(trajectory, clip, by_segment)
         nearest, by_segment = min(nearest, float(leaning.min(initial=np.inf))), np.minimum(by_segment, leaning)
         lack = np.maximum(self.clearance - by_segment, 0.0)

@@ -54,19 +54,23 @@ def parts_in_reach(vehicle: Vehicle, world: Any, marks: Sequence[Any], clearance
     ``clearance`` m above the vehicle."""
     if world is None or not vehicle.group.planar:
         return []
-    height = 0.0 if marks[0].position is None else float(marks[0].position[2])
     low, high = vertical_reach(vehicle)
-    there = at_level(world, vehicle, marks)
-    rock = there.walls(high + LEANING + clearance)
+    rock = at_level(world, vehicle, marks).walls(high + LEANING + clearance)
     walls = [] if rock is None else [(rock, number) for number in range(len(rock.parts))]
-    on_ground = world.terrain is not None and vehicle.rig is not None and wheels_of(vehicle.rig)
-    found = []
-    for obstacle in world.obstacles:
-        for number in range(1 if obstacle.moves else len(obstacle.parts)):
-            at = _ground_below(there, obstacle, number) if on_ground else height
-            if obstacle.bottom < at + high and obstacle.top > at + low:
-                found.append((obstacle, number))
-    return walls + found
+    standing = [(o, number) for o in world.obstacles for number in range(1 if o.moves else len(o.parts))]
+    levels = levels_at(vehicle, world, marks, standing)
+    met = [o.bottom < at + high and o.top > at + low for (o, _), at in zip(standing, levels, strict=True)]
+    return walls + [part for part, meets in zip(standing, met, strict=True) if meets]
+
+
+def levels_at(vehicle: Vehicle, world: Any, marks: Sequence[Any], parts: Sequence[tuple[Any, int]]) -> list[float]:
+    """Heights, m, at which a vehicle in the plane passes ``parts`` of obstacles: on wheels, of the ground below each,
+    otherwise of the marks; at the rock of a terrain, those of the marks."""
+    height = 0.0 if marks[0].position is None else float(marks[0].position[2])
+    if world.terrain is None or vehicle.rig is None or not wheels_of(vehicle.rig):
+        return [height] * len(parts)
+    there = at_level(world, vehicle, marks)
+    return [height if isinstance(o, Walls) else _ground_below(there, o, number) for o, number in parts]
 
 
 def _ground_below(world: Any, obstacle: Any, number: int) -> float:
@@ -261,7 +265,7 @@ def _driven(
     turned = [(part, outline) for part in swings if (outline := _turned(vehicle, part, mark)) is not None]
     near, height = gaps(footprint(vehicle), parts), float(mark.position[2])
     for part, outline in turned:
-        level = [o.bottom < height + part.top and o.top > height + part.bottom for o, _ in parts]
+        level = [part.meets(o, height) for o, _ in parts]
         near[level] = np.minimum(near[level], gaps(outline, parts)[level])
     best = int(near.min(axis=0).argmax())
     nearest, gap, here = parts[int(near[:, best].argmin())], float(near[:, best].min()), slice(best, best + 1)

@@ -47,6 +47,10 @@ class ArticulatedPart:
         last = float(np.linalg.norm(self.outline - places[-1], axis=1).max())
         return last + float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
+    def meets(self, obstacle: Any, level: float) -> bool:
+        """Whether an obstacle is as high above the root at a ``level`` m as the part."""
+        return bool(obstacle.bottom < level + self.top and obstacle.top > level + self.bottom)
+
     def at(self, channels: Mapping[str, Array]) -> Array:
         """Outlines (n, k, 2) m in the root's frame for values (n,) of the channels, rad."""
         found = self.outline[None]
