@@ -349,6 +349,20 @@ def test_helicopters_hold_their_height_between_marks(character: str, distance: i
     assert max(20 - free.min(), free.max() - 20 - climb) > 1.5
 
 
+@pytest.mark.parametrize("heading", [0.0, -10.0, -60.0])
+@pytest.mark.parametrize(("character", "last"), [("calm", 2009), ("calm", "free"), ("normal", 1529), ("brisk", "free")])
+def test_helicopters_fly_the_direct_way(character: str, last: int | str, heading: float) -> None:
+    """To a place behind: circles of up to 314 m took less effort than slow flight."""
+    marks = [
+        Mark(1001, position=(0, 0, 20), heading=0, velocity=(0, 0, 0)),
+        Mark(last, position=(-60, 0, 20), heading=heading, velocity=(0, 0, 0)),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, character=character)
+    assert plan.success, plan.message
+    way = plan.clip.at(np.linspace(0, plan.clip.times[-1], 1000)).positions
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).sum() < 1.5 * 60
+
+
 @pytest.mark.parametrize(("distance", "rise", "seconds"), [(0, 60, 30), (100, 50, 26), (0, -60, 30), (100, -50, 26)])
 def test_the_planner_climbs_and_descends_as_pilots_do(distance: int, rise: int, seconds: int) -> None:
     """Slowest when calm; above the rate at which a slow helicopter sinks into its own wake, half of the speed that its
