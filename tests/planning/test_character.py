@@ -339,13 +339,13 @@ def test_what_no_plan_knows_is_refused(key: str) -> None:
     ],
 )
 def test_helicopters_hold_their_height_between_marks(character: str, distance: int, last: int, climb: int) -> None:
-    """Without that cost they would rise or sink by 1.5 to 20 m, because this saves a little effort."""
+    """Without their costs they would rise or sink by 1.5 to 20 m, because this saves a little effort."""
     ends = [(1, (0, 0, 20)), (last, (distance, 0, 20 + climb))]
     marks = [Mark(frame, position=place, velocity=STILL) for frame, place in ends]
     options: dict[str, Any] = {"marks": marks, "segments": 32, "character": character}
     heights = vehsim.plan(HELICOPTER, **options).clip.positions[:, 2]
     assert heights.min() > 19.5 and heights.max() < 21.25 + climb
-    free = vehsim.plan(HELICOPTER, **options, cost={"effort": 1.0, "level": 0.0}).clip.positions[:, 2]
+    free = vehsim.plan(HELICOPTER, **options, cost={"effort": 1.0, "level": 0.0, "distance": 0.0}).clip.positions[:, 2]
     assert max(20 - free.min(), free.max() - 20 - climb) > 1.5
 
 
