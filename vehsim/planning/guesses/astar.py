@@ -27,6 +27,7 @@ from vehsim.planning.outlines import gaps_to, inner_discs
 from vehsim.vehicles import Nonholonomic, Vehicle
 from vehsim.world.obstacles.articulated import fixed_footprint
 from vehsim.world.obstacles.obstacles import footprint
+from vehsim.world.obstacles.plane import placed
 
 Array = NDArray[np.float64]
 
@@ -167,7 +168,7 @@ class _Ground:
         shy: float,
         met: Sequence[Array],
     ) -> None:
-        self.ends, self.clearance = ends, clearance
+        self.outline, self.ends, self.clearance = outline, ends, clearance
         discs = inner_discs(outline) or [(np.zeros(2), 0.0)]
         self.points = np.vstack([*(centre for centre, _ in discs), outline])
         self.radii = np.array([*(radius for _, radius in discs), *np.zeros(len(outline))])
@@ -191,9 +192,8 @@ class _Ground:
         axes = [lower[k] + self.cell * np.arange(self.shape[k]) for k in (0, 1)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 2)
         # `over` is 1 beyond this distance
-        far, enough = np.full(len(grid), np.inf), 3 * (self.radius + clearance) + FINEST
-        for shape in still:
-            far = np.minimum(far, gaps_to(shape, grid, enough))
+        self.shapes, enough = still, 3 * (self.radius + clearance) + FINEST
+        far = _nearest(still, grid, enough)
         self.distance = far.reshape(self.shape)
         self.capped = np.minimum(far, enough)
         near = np.linalg.norm(grid[:, 0, None] - ends, axis=2)
@@ -306,6 +306,10 @@ class _Ground:
         after = far[at + row] + dj * (far[at + row + 1] - far[at + row])
         return np.asarray((before + di * (after - before) - self.radii).min(axis=1))
 
+    def exactly(self, poses: Array) -> Array:
+        """Distances (n,) m of the vehicle at poses (n, 3) from the obstacles."""
+        return _nearest(self.shapes, placed(self.outline, poses[:, :2], poses[:, 2]))
+
 
 @dataclass(frozen=True)
 class _Arc:
@@ -359,6 +363,10 @@ class _Search:
         gone = np.hypot(*(poses[:, None, :2] - self.ground.ends).T)
         demanded = np.minimum(self.ground.clearance, (self.own[:, None] + 0.5 * gone).min(axis=0) - 1e-6)
         spare = self.ground.margins(poses) - demanded
+        # between two obstacles, distances between cells are too small by up to half a cell
+        doubtful = (spare < -self.slack) & (spare > -self.slack - self.ground.partly)
+        if doubtful.any():
+            spare[doubtful] = self.ground.exactly(poses[doubtful]) - demanded[doubtful]
         return np.where(spare >= -self.slack, self.ground.priced(spare), np.inf)
 
     def _from(self, end: int, lengths: Array, most: int) -> tuple[float, Array | None, int]:
@@ -458,6 +466,14 @@ class _Search:
         last = min(SHIFTED, len(path))
         share = np.concatenate([np.zeros(len(path) - last), np.linspace(0, 1, last)])
         return np.asarray(path + share[:, None] * [*(goal - path[-1, :2]), turn])
+
+
+def _nearest(shapes: Sequence[Any], outlines: Array, reach: float = math.inf) -> Array:
+    """Distances (n,) m of outlines (n, k, 2) to the nearest of the shapes; above ``reach`` m, lower bounds."""
+    far = np.full(len(outlines), np.inf)
+    for shape in shapes:
+        far = np.minimum(far, gaps_to(shape, outlines, reach))
+    return far
 
 
 def _turned(angle: Array, point: Array) -> Array:
