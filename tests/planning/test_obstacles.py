@@ -270,6 +270,19 @@ def test_trailers_meet_what_stands_higher_up_the_hill():
     assert {number for _, number, _ in replace(rows, levels=[0.0], owners=None).features} == {0}
 
 
+@pytest.mark.parametrize(("name", "size", "wide"), [("car", 1.0, 2.1), ("truck", 2.2, 3.1)])
+@pytest.mark.parametrize("clearance", [0.0, 0.3, 1.0])
+def test_a_guess_leads_straight_through_a_gap_ahead(name, size, wide, clearance):
+    """Though it leaves less room than half a cell of the grid: it led round the walls, or in a circle first."""
+    vehicle, middle = vehsim.load_vehicle(name), wide / 2 + clearance + 0.075 + 10 * size
+    world = World(
+        obstacles=[ob.box(f"{side:+d}", (25 * size, side * middle, 0), (2, 20 * size, 3)) for side in (1, -1)]
+    )
+    ends = np.array([(0.0, 0, 0), (50 * size, 0, 0)])
+    path = guess_drive(vehicle, parts_in_reach(vehicle, world, across()), ends, (0.0, 0.0), clearance)
+    np.testing.assert_allclose(path[:, [1, 3]], 0.0, atol=1e-6)
+
+
 def test_a_swinging_trailer_keeps_its_clearance():
     """Around a block: the trailer, rotated about its king pin here, keeps the clearance according to shapely."""
     truck = vehsim.load_vehicle("truck")
