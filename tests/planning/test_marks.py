@@ -1,5 +1,7 @@
 """Requests beside positions: gates, looks, heights, holds, loops, joints; each met on the exported clip."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -237,3 +239,24 @@ def test_a_climb_limit_holds_on_hills(car):
     with pytest.warns(UserWarning, match=r"limits.climb: 0\.\d+ m/s, 0\.05\d* allowed"):
         plan = vehsim.plan(car, vehsim.World(terrain="hills"), marks=marks, segments=16, limits={"climb": 0.05})
     assert not plan.success
+
+
+@pytest.mark.parametrize("heading", [0.0, 120.0])
+@pytest.mark.parametrize(
+    ("name", "speed", "turn"), [("boat", 4.0, (40, 30)), ("car", 4.0, (40, 30)), ("car", 0.0, (40, 30)),
+                                ("two_wheeled", 0.5, (4, 3))])  # fmt: skip
+def test_a_loop_past_one_mark_is_an_oval(name, speed, turn, heading):
+    """From a guess there and back on one line, cars took 600 iterations to a lap that doubled back."""
+    nose = math.radians(heading)
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=heading, velocity=(speed * math.cos(nose), speed * math.sin(nose), 0)),
+        Mark("free", position=(*turn, 0)),
+        Mark("free"),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle(name), None, marks, loop=True)
+    assert plan.success and plan.iterations < 120, plan.message
+    lap = plan.clip.at(np.linspace(0, plan.clip.times[-1], 1000))
+    yaw = np.unwrap(yaw_of(lap.orientations))
+    assert abs(yaw[-1] - yaw[0]) == pytest.approx(2 * np.pi, abs=1e-3)
+    ahead = np.diff(lap.positions[:, :2], axis=0) * np.column_stack([np.cos(yaw), np.sin(yaw)])[:-1]
+    assert ahead.sum(axis=1).min() > -1e-3

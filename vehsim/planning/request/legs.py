@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.lie.quaternions import yaw_of
-from vehsim.planning.request.marks import Mark, given_frames
+from vehsim.planning.request.marks import Mark, given_frames, heading_of
 
 Array = NDArray[np.float64]
+WIDE = 0.25
+"""Half the width of the oval of a loop past a single mark, relative to its length."""
 
 
 def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark], bool]) -> list[Mark]:
@@ -122,16 +125,29 @@ def closed(marks: Sequence[Mark]) -> list[Mark]:
 
 
 def round_trip(marks: Sequence[Mark]) -> list[Array]:
-    """Paths (k, 3) m of all legs along one smooth closed curve; ``marks``: those of a loop, as of `closed`."""
+    """Paths (k, 3) m of all legs along one smooth closed curve; ``marks``: those of a loop, as of `closed`.
+
+    Past a single mark on the way it is an oval, which leaves to the side of the first mark's heading.
+    """
     from scipy.interpolate import CubicSpline
 
     points = mark_positions(marks)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if len(points) < 4 or steps.min() < 1e-6:
+    if len(points) < 3 or steps.min() < 1e-6 or (len(points) == 3 and marks[1].at_rest):
         return [np.array(leg) for leg in pairwise(points)]
+    cuts = np.arange(len(points))
+    if len(points) == 3:
+        first, turn, _ = points
+        across = WIDE * np.array([turn[1] - first[1], first[0] - turn[0], 0.0])  # to the right
+        nose = heading_of(marks[0])
+        if nose is not None and np.dot(across[:2], (math.cos(nose), math.sin(nose))) < 0:
+            across = -across
+        middle, cuts = (first + turn) / 2, np.array([0, 2, 4])
+        points = np.array([first, middle + across, turn, middle - across, first])
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(steps)])
     curve = CubicSpline(at, points, bc_type="periodic")
-    return [np.asarray(curve(np.linspace(a, b, 17))) for a, b in pairwise(at)]
+    return [np.asarray(curve(np.linspace(at[a], at[b], 16 * (b - a) + 1))) for a, b in pairwise(cuts)]
 
 
 def mark_positions(marks: Sequence[Mark]) -> Array:
