@@ -21,6 +21,7 @@ from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance, Po
 from vehsim.planning.drafts import draft
 from vehsim.planning.guesses import astar
 from vehsim.planning.guesses.astar import guess_drive, turning_radius
+from vehsim.planning.guesses.pacing import changes_of_gear
 from vehsim.planning.iterate import Certificate
 from vehsim.planning.outlines import clearances, inner_discs, least_clearance, simplified
 from vehsim.planning.problem.elements import NonlinearProgram
@@ -281,6 +282,18 @@ def test_a_guess_leads_straight_through_a_gap_ahead(name, size, wide, clearance)
     ends = np.array([(0.0, 0, 0), (50 * size, 0, 0)])
     path = guess_drive(vehicle, parts_in_reach(vehicle, world, across()), ends, (0.0, 0.0), clearance)
     np.testing.assert_allclose(path[:, [1, 3]], 0.0, atol=1e-6)
+
+
+def test_a_guess_leads_through_a_gap_aside_without_backing_up():
+    """Arcs meet the gap exactly only after going back; a guess that meets it nearly is the better start."""
+    truck = vehsim.load_vehicle("truck")
+    walls = [ob.box(f"{side:+d}", (55, 13.2 + side * 23.925, 0), (2, 44, 3)) for side in (1, -1)]
+    ends = np.array([(0.0, 0, 0), (110, 0, 0)])
+    path = guess_drive(truck, parts_in_reach(truck, World(obstacles=walls), across()), ends, (0.0, 0.0), 0.3)
+    assert not changes_of_gear(path)[-1]
+    assert np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum() < 125
+    narrow = np.abs(path[:, 0] - 55) < 1
+    assert np.abs(path[narrow, 1] - 13.2).max() < 0.6
 
 
 def test_a_swinging_trailer_keeps_its_clearance():

@@ -124,8 +124,12 @@ def _arcs(ground: _Ground, radius: float, headings: Sequence[float | None]) -> A
         search = _Search(ground, radius, headings, share, slack)
         poses = search.find()
         if poses is not None or search.looked >= POSES:
-            return poses
-    return None
+            break
+    if slack == 0 and search.looked > PATIENCE and (poses is None or _shifts(poses)):
+        other = _Search(ground, radius, headings, STEPS[0], ground.partly).find(PATIENCE)
+        if other is not None and not _shifts(other):
+            return other  # it meets a gap nearly, which the optimiser corrects, where arcs must back up to meet it
+    return poses
 
 
 @lru_cache(maxsize=64)
@@ -342,11 +346,11 @@ class _Search:
         self.turns = self.step * np.array([arc.bend * arc.gear for arc in self.arcs])
         self.ways = self.step * np.array([arc.gear for arc in self.arcs])
 
-    def find(self) -> Array | None:
-        """Poses (k, 3) x, y m and heading rad from start to goal, or None if none was found."""
+    def find(self, most: int = POSES) -> Array | None:
+        """Poses (k, 3) x, y m and heading rad from start to goal, or None if none was found among ``most``."""
         end = 0 if self.headings[1] is None or self.own[0] <= self.own[1] else 1
         lengths = self._lengths_from(end)
-        cost, found, self.looked = self._from(end, lengths, POSES)
+        cost, found, self.looked = self._from(end, lengths, most)
         detour = cost > DETOUR * lengths[self.ground.index(self.ground.ends[end])]
         if found is None or self.headings[1] is None or not detour:
             return found
