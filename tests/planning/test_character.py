@@ -352,7 +352,7 @@ def test_helicopters_hold_their_height_between_marks(character: str, distance: i
 @pytest.mark.parametrize("heading", [0.0, -10.0, -60.0])
 @pytest.mark.parametrize(("character", "last"), [("calm", 2009), ("calm", "free"), ("normal", 1529), ("brisk", "free")])
 def test_helicopters_fly_the_direct_way(character: str, last: int | str, heading: float) -> None:
-    """To a place behind: circles of up to 314 m took less effort than slow flight."""
+    """To a place behind: circles of up to 324 m took less effort than slow flight; brisk ones of 120 m are quick."""
     marks = [
         Mark(1001, position=(0, 0, 20), heading=0, velocity=(0, 0, 0)),
         Mark(last, position=(-60, 0, 20), heading=heading, velocity=(0, 0, 0)),
@@ -360,7 +360,7 @@ def test_helicopters_fly_the_direct_way(character: str, last: int | str, heading
     plan = vehsim.plan(vehsim.load_vehicle("helicopter"), None, marks, character=character)
     assert plan.success, plan.message
     way = plan.clip.at(np.linspace(0, plan.clip.times[-1], 1000)).positions
-    assert np.linalg.norm(np.diff(way, axis=0), axis=1).sum() < 1.5 * 60
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).sum() < (1.8 if character == "brisk" else 1.6) * 60
 
 
 @pytest.mark.parametrize(("distance", "rise", "seconds"), [(0, 60, 30), (100, 50, 26), (0, -60, 30), (100, -50, 26)])
