@@ -312,7 +312,7 @@ class _Ground:
 
     def exactly(self, poses: Array) -> Array:
         """Distances (n,) m of the vehicle at poses (n, 3) from the obstacles."""
-        return _nearest(self.shapes, placed(self.outline, poses[:, :2], poses[:, 2]))
+        return _nearest(self.shapes, placed(self.outline, poses[:, :2], poses[:, 2]), self.clearance + self.cell)
 
 
 @dataclass(frozen=True)
@@ -361,15 +361,16 @@ class _Search:
         """Costs (nx, ny) of the cheapest paths over the ground to the other end, whatever the headings."""
         return self.ground.lengths_to(1 - end, self.ground.partly)[0]
 
-    def _prices(self, poses: Array) -> Array:
+    def _prices(self, poses: Array, together: bool = False) -> Array:
         """Cost (n,) of a metre at poses (n, 3), inf nearer than the clearance; near an end with less, what that end has
-        is enough."""
+        is enough. ``together``: one pose that is too near is enough to reject them all."""
         gone = np.hypot(*(poses[:, None, :2] - self.ground.ends).T)
         demanded = np.minimum(self.ground.clearance, (self.own[:, None] + 0.5 * gone).min(axis=0) - 1e-6)
         spare = self.ground.margins(poses) - demanded
         # between two obstacles, distances between cells are too small by up to half a cell
-        doubtful = (spare < -self.slack) & (spare > -self.slack - self.ground.partly)
-        if doubtful.any():
+        closed = spare <= -self.slack - self.ground.partly
+        doubtful = (spare < -self.slack) & ~closed
+        if doubtful.any() and not (together and closed.any()):
             spare[doubtful] = self.ground.exactly(poses[doubtful]) - demanded[doubtful]
         return np.where(spare >= -self.slack, self.ground.priced(spare), np.inf)
 
@@ -401,7 +402,7 @@ class _Search:
             off = 0.0 if wanted is None else abs((angle - wanted + math.pi) % (2 * math.pi) - math.pi)
             if math.hypot(x - goal[0], y - goal[1]) < near and off < close:
                 path = self._shifted(self._back(k, poses, parents), goal, angle if wanted is None else wanted)
-                if np.isfinite(self._prices(path[-SHIFTED:])).all():
+                if np.isfinite(self._prices(path[-SHIFTED:], together=True)).all():
                     return here, path[::ahead], looked
             if wanted is not None and (looked < EARLY or looked % EACH == 0):
                 for cost, way in self._curves(poses[k], (float(goal[0]), float(goal[1]), wanted), ahead, drive.gear):
@@ -449,7 +450,7 @@ class _Search:
             ends = (*pose[:2], pose[2] + away), (*goal[:2], goal[2] + away)
             for parts in sorted(dubins.curves(*ends, self.radius), key=dubins.length)[:TRIED]:
                 poses = dubins.along(ends[0], parts, self.step) - [0, 0, away]
-                price = float(self._prices(poses).mean())
+                price = float(self._prices(poses, together=True).mean())
                 if price < math.inf:
                     cost = dubins.length(parts) * price
                     found.append((cost * (1.0 if drive == ahead else BACK) + SHIFT * (drive != gear), poses))
