@@ -14,6 +14,7 @@ from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.certificates import certify_plane
 from vehsim.planning.certify import _settles
+from vehsim.planning.constraints import features
 from vehsim.planning.constraints.block import Finding
 from vehsim.planning.constraints.features import CORNERS, bodies_of, form_of, gap
 from vehsim.planning.constraints.features import element as row_of
@@ -242,10 +243,15 @@ def test_a_truck_turns_into_a_street(width):
     assert min(distance(straight, obstacle.parts[0]).min() for obstacle in world.obstacles) < -0.5
 
 
-def test_rows_place_a_trailer_where_it_is():
-    """Behind a turned tractor, folded: by its outline as the rig turns it."""
+@pytest.mark.parametrize("train", [False, True])
+def test_rows_place_a_trailer_where_it_is(train, monkeypatch):
+    """Behind a turned tractor, folded: by its outline as the rig turns it; a second trailer behind a first one too."""
     truck = vehsim.load_vehicle("truck")
-    [part], (_, body) = articulated_footprint(truck), bodies_of(truck)
+    [part] = articulated_footprint(truck)
+    if train:
+        part = replace(part, pivots=(*part.pivots, ("hitch_1", -0.7, np.array([-9.0, 0.1]))))
+        monkeypatch.setattr(features, "articulated_footprint", lambda vehicle: (part,))
+    _, body = bodies_of.__wrapped__(truck)
     rng = np.random.default_rng(5)
     yaw, places, folded = rng.uniform(-3, 3, 40), rng.uniform(-9, 9, (40, 2)), rng.uniform(-1.5, 1.5, 40)
     joints = np.zeros((len(truck.joints), 40))
