@@ -455,3 +455,19 @@ def test_a_flight_passes_between_two_towers_if_that_is_easier(monkeypatch):
     request = make_request(plan.clip.vehicle, world, marks, fps=24, segments=64)
     monkeypatch.setattr(routes, "SHORTER", 0.0)  # as before
     assert np.abs(np.vstack(routes.find_paths(request, None, silent))[:, 1]).max() > 20
+
+
+@pytest.mark.parametrize(("bottom", "dives"), [(0.0, True), (3.0, False)], ids=["standing", "hanging"])
+def test_a_flight_below_obstacles_that_stand_is_warned_of(helicopter, bottom, dives):
+    wall = ob.box("wall", (60.0, 0.0, bottom), (4.0, 300.0, 80.0))
+    ends = {1001: (0.0, 0.0, 15.0), 1481: (120.0, 0.0, 15.0)}
+    marks = [Mark(frame, position=place, heading=0, velocity=REST) for frame, place in ends.items()]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        plan = vehsim.plan(helicopter, world=World(obstacles=[wall]), marks=marks, clearance=1.0)
+    assert plan.success
+    lowest = plan.clip.positions[:, 2].min()
+    assert lowest < 0
+    said = [str(warning.message) for warning in caught if "below its obstacles" in str(warning.message)]
+    assert len(said) == dives
+    assert all(f"z = {lowest:.1f} m" in each and 'terrain = "flat"' in each for each in said)

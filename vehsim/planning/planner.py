@@ -25,6 +25,7 @@ from vehsim.planning.certify import refine_and_certify
 from vehsim.planning.constraints.clearance import SLACK, Clearance, SphereCover, cover_for
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.deadline import OutOfTime
+from vehsim.planning.explain.depth import below_level
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.explain.looks import fastest_look
 from vehsim.planning.fallbacks import (
@@ -687,6 +688,8 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         clip = replace(iterate.clip, vehicle=request.vehicle)
         try:
             clip = exported(iterate.clip, request) if begun else clip
+            if success and (below := below_level(clip, request)):
+                warnings.warn(f'{clip.vehicle.name}: {below}; give the world terrain = "flat"', stacklevel=2)
         except SolveError as error:  # its wheels cannot stand there
             success, reason, message = False, reason or "audit", message if not success else error.problem.message
     asks = asks_of(request, iterate.mark_frames())

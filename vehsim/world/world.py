@@ -38,6 +38,8 @@ Array = NDArray[np.float64]
 
 MAX_WIND = 150.0
 """Largest plausible wind, m/s."""
+STANDING = 0.1
+"""Without a terrain, an obstacle stands on level ground if its bottom is this near to z = 0, m."""
 
 
 class World:
@@ -132,6 +134,12 @@ class World:
     def moving(self) -> tuple[Moving, ...]:
         """The obstacles that move."""
         return tuple(obstacle for obstacle in self.obstacles if isinstance(obstacle, Moving))
+
+    @property
+    def seems_level(self) -> bool:
+        """Whether, without terrain and water, an obstacle that never moves stands at z = 0, as if on level ground."""
+        dry = self.terrain is None and self.water is None
+        return dry and any(abs(obstacle.bottom) <= STANDING for obstacle in self.standing)
 
     @property
     def bounds(self) -> Array | None:

@@ -18,6 +18,7 @@ from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.textured import author_textured
 from vehsim.runtime.cache import kept
 from vehsim.runtime.code import code
+from vehsim.world.world import STANDING
 
 if TYPE_CHECKING:
     from vehsim.delivery.take import Take
@@ -40,8 +41,6 @@ ROCK = ((0.24, 0.17, 0.12), (0.33, 0.24, 0.17))
 """Linear colours at the lowest and the highest point."""
 PATTERN = 40.0
 """The pattern of the shipped terrain ``flat`` repeats after this, m."""
-STANDING = 0.1
-"""Without a terrain, an obstacle stands on level ground if its bottom is this near to z = 0, m."""
 
 
 def level_ground(take: Take) -> Array | None:
@@ -54,7 +53,7 @@ def level_ground(take: Take) -> Array | None:
     if world.terrain is not None or world.water is not None:
         return None
     shown = [clip for clip in clips if clip.vehicle.rolls]
-    if not shown and any(not thing.moves and abs(thing.bottom) <= STANDING for thing in world.obstacles):
+    if not shown and world.seems_level:
         flights = all(clip.vehicle.group.dim == 6 and clip.vehicle.hull is None for clip in clips)
         above = all(clip.positions[:, 2].min() >= -STANDING for clip in clips)
         shown = [*clips] if flights and above else []
