@@ -350,22 +350,39 @@ def test_a_truck_backs_its_trailer_into_a_bay(wide, start):
     assert gaps.min() > 0.3 - 0.011
 
 
-def test_trailers_stand_straight_in_bays_unless_marks_say_otherwise():
+def test_trailers_stand_straight_first_and_in_bays_unless_marks_say_otherwise():
     truck, world = vehsim.load_vehicle("truck"), bay(4.4)
-    marks = to_bay((20, 0, 0))
-    first, last = straightened(truck, world, marks)
-    for mark in (first, last):
-        assert mark.joints[2] == 0 and np.isnan(mark.joints[:2]).all()
-    assert straightened(truck, world, marks[:1]) == marks[:1]  # outside, its trailer is free
-    bent = replace(marks[1], joints=(math.nan, math.nan, 0.05))
-    assert straightened(truck, world, [marks[0], bent]) == [marks[0], bent]
-    passing = replace(marks[1], velocity=None)
-    assert straightened(truck, world, [marks[0], passing]) == [marks[0], passing]
-    wall = World(obstacles=world.obstacles[:1])  # to the other side, the trailer can turn
-    assert straightened(truck, wall, marks) == marks
-    moved = to_bay((21, 0, 0))
-    assert same_choices(moved, marks, [first, last])[1].joints is last.joints
-    assert same_choices([bent], [bent], [bent])[0].joints is bent.joints
+    first, last = to_bay((20, 0, 0))
+    straight, bent = (math.nan, math.nan, 0.0), (math.nan, math.nan, 0.05)
+
+    def joints(world, *marks):
+        return [mark.joints for mark in straightened(truck, world, marks)]
+
+    np.testing.assert_equal(joints(world, first, last), [straight, straight])
+    np.testing.assert_equal(joints(world, first, replace(last, joints=bent)), [straight, bent])
+    assert joints(world, first, replace(last, velocity=None))[1] is None
+    for open_side in (World(obstacles=world.obstacles[:1]), None):  # where it can turn
+        np.testing.assert_equal(joints(open_side, first, last)[0], straight)
+        assert joints(open_side, first, last)[1] is None
+    assert joints(None, replace(first, velocity=(2.0, 0.0, 0.0)), last) == [None, None]
+    assert joints(None, replace(first, joints=bent), last) == [bent, None]
+    marks = [first, last]
+    chosen, aside = straightened(truck, world, marks), replace(last, joints=bent)
+    assert same_choices(to_bay((21, 0, 0)), marks, chosen)[1].joints is chosen[1].joints
+    assert same_choices([aside], [aside], [aside])[0].joints is bent
+
+
+def test_a_truck_starts_with_its_trailer_behind_it():
+    """A free trailer started folded by 63 degrees, in the open."""
+    truck = vehsim.load_vehicle("truck")
+    marks = [
+        Mark(frame, position=place, heading=heading, velocity=REST)
+        for frame, place, heading in ((1, (0.0, 0.0, 0.0), 0.0), (961, (60.0, 10.0, 0.0), 20.0))
+    ]
+    plan = vehsim.plan(truck, marks=marks)
+    assert plan.success, plan.message
+    hitch = np.degrees(plan.clip.joints[:, truck.joints.index("hitch_1")])
+    assert abs(hitch[0]) < 1e-6 and np.abs(hitch).max() < 5
 
 
 def test_drafts_keep_trailers_straight_in_bays():

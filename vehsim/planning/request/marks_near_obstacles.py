@@ -154,14 +154,17 @@ def marks_too_near(
 
 
 def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> list[Mark]:
-    """The marks; if the vehicle rests in a bay, trailers stand straight behind it wherever it rests, unless marks give
-    joints."""
-    if not (vehicle.tied and world is not None and any(_in_bay(vehicle, world, mark) for mark in marks)):
+    """The marks; trailers stand straight at a first mark at rest, and wherever the vehicle rests if it does so in a bay,
+    unless marks give joints. A free trailer would start folded, as its tractor then leaves more easily."""
+    if not vehicle.tied:
         return list(marks)
     straight = np.full(len(vehicle.joints), np.nan)
     straight[list(vehicle.tied)] = 0.0
-    joints = tuple(straight.tolist())
-    return [replace(mark, joints=joints) if mark.at_rest and mark.joints is None else mark for mark in marks]
+    bay = world is not None and any(_in_bay(vehicle, world, mark) for mark in marks)
+    free = [mark.at_rest and mark.joints is None and (bay or not i) for i, mark in enumerate(marks)]
+    return [
+        replace(mark, joints=tuple(straight.tolist())) if each else mark for mark, each in zip(marks, free, strict=True)
+    ]
 
 
 def _in_bay(vehicle: Vehicle, world: Any, mark: Mark) -> bool:
