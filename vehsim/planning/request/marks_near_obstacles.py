@@ -154,8 +154,8 @@ def marks_too_near(
 
 
 def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> list[Mark]:
-    """The marks; trailers stand straight at a first mark at rest, and wherever the vehicle rests if it does so in a bay,
-    unless marks give joints. A free trailer would start folded, as its tractor then leaves more easily."""
+    """The marks; trailers stand straight at a first mark at rest, and wherever the vehicle rests if it does so in a
+    bay, unless marks give joints. A free trailer would start folded, as its tractor then leaves more easily."""
     if not vehicle.tied:
         return list(marks)
     straight = np.full(len(vehicle.joints), np.nan)
