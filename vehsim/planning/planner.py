@@ -689,7 +689,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
         try:
             clip = exported(iterate.clip, request) if begun else clip
             if success and (below := below_level(clip, request)):
-                warnings.warn(f'{clip.vehicle.name}: {below}; give the world terrain = "flat"', stacklevel=2)
+                warnings.warn(f"{clip.vehicle.name}: {below}", stacklevel=2)
         except SolveError as error:  # its wheels cannot stand there
             success, reason, message = False, reason or "audit", message if not success else error.problem.message
     asks = asks_of(request, iterate.mark_frames())

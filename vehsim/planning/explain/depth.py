@@ -8,12 +8,13 @@ from vehsim.world.world import STANDING
 
 
 def below_level(clip: Clip, request: Request) -> str:
-    """What to warn of where a flight between marks above z = 0 passes below the obstacles that stand there: without a
-    terrain, nothing is below them. Else nothing."""
+    """A warning if a flight between marks above z = 0 passes below the obstacles that stand there, where a world
+    without a terrain has no ground; otherwise empty."""
     world, z = request.world, clip.positions[:, 2]
     if clip.vehicle.group.planar or world is None or not world.seems_level or z.min() >= -STANDING:
         return ""
     if any(mark.position is not None and mark.position[2] < 0 for mark in request.marks):
         return ""
     frame = round(clip.start_frame + clip.fps * clip.times[z.argmin()])
-    return f"flies at z = {z.min():.1f} m at frame {frame}, below its obstacles: there is no ground without a terrain"
+    where = f"flies at z = {z.min():.1f} m at frame {frame}, below its obstacles"
+    return f'{where}: without a terrain there is no ground; give the world terrain = "flat"'

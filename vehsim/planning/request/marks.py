@@ -78,8 +78,8 @@ class Mark(Timed):
     attitude it is in balance, as it must be to stay there (a helicopter leans against its tail rotor and the wind), so
     that the motion starts and ends smoothly; without a heading, a vehicle that flies nose first faces along its leg,
     or as it comes from where a constraint points it on that leg;
-    trailers stand straight at a first mark at rest, and in bays at all, unless marks give joints. If no such motion is
-    found, both are free.
+    trailers stand straight at a first mark at rest, and if the vehicle rests in a bay, at all marks at rest, unless
+    these give joints. If no such motion is found, both are free.
     ``speed = 0`` leaves the attitude free.
     """
 
