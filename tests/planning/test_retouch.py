@@ -289,3 +289,19 @@ def test_a_boat_that_runs_with_its_bow_up_is_drawn_to_an_edit(voyage, first, las
     assert np.degrees(pitch.min()) < -5 and np.degrees(np.abs(pitch - before).max()) < 2
     assert np.abs(np.diff(made.positions[:, 2])).max() < 0.02
     assert np.degrees(np.abs(np.diff(pitch, 2)).max()) < 1.5 * np.degrees(np.abs(np.diff(before, 2)).max())
+
+
+def test_a_far_edit_is_followed_as_far_as_the_iterations_reach():
+    """A boat at rest, moved aside, must come from farther behind: the motion nearest to that is found slowly."""
+    marks = [
+        Mark(frame=1, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        Mark(frame=569, position=(26.3, -5.2, 0), velocity=(0, 0, 0), hold=48),
+        Mark(frame=1087, position=(52, -12.8, 0), heading=11, velocity=(0, 0, 0)),
+    ]
+    boat = vehsim.load_vehicle("boat")
+    clip = vehsim.plan(boat, None, marks, fps=24).clip
+    frames, positions, rotations = bumped(clip, 290, 580, (0.3, 0.75, 0.0))
+    made = retouch(clip, None, frames, positions, rotations, stops=[1, 569, 1087])
+    asked = np.linalg.norm(positions - clip.resample().positions, axis=1).max()
+    assert made.metres.max() < 0.6 * asked and made.kept < KEPT
+    assert np.linalg.norm(executed(made.clip) - clip.positions[-1]) < 0.03

@@ -76,6 +76,9 @@ FEWEST = 6
 """Smallest number of segments of a window."""
 ITERATIONS = 60
 """Largest number of iterations of a solve; the solved motion is near, so most need fewer than 30."""
+ALMOST = 1e-2
+"""Largest violation of constraints, scaled, of a motion that stands in for an edit from which it is still far: the
+motion nearest to it is found in a few iterations."""
 NEAR = 0.02
 """Distance from the edit that costs one per second, m."""
 LOOSE = 1e-3
@@ -256,6 +259,14 @@ class _Edit:
             found.append((begin, end))
         return found
 
+    def moved_to(self, reached: Clip, window: tuple[float, float]) -> _Edit:
+        """The same touched frames, with the poses of another motion ``reached`` inside a window, where it begins."""
+        inside = (self.frames >= window[0]) & (self.frames <= window[1])
+        there = reached.at((self.frames[inside] - window[0]) / float(reached.fps))
+        positions, rotations = self.positions.copy(), self.rotations.copy()
+        positions[inside], rotations[inside] = there.positions, matrices(there.orientations)
+        return replace(self, positions=positions, rotations=rotations)
+
     def at(self, frames: Array) -> tuple[Array, Array, Array]:
         """Positions (k, 3) and rotations (k, 3, 3) at any ``frames`` (k,), and the weights (k, 2) of their change."""
         from scipy.interpolate import CubicSpline
@@ -350,7 +361,12 @@ def _attempt(
         guess = Trajectory(request, transcription, layout, x)
         active = tuple(block.activate(guess) for block in blocks)
         iterate = Iterate(request, transcription, layout, x, active, [poses_of(local)], rung=0)
-        iterate = refine_and_certify(run, solve(run, iterate))
+        iterate = solve(run, iterate)
+        if not iterate.success and iterate.solution is not None and iterate.solution.violation < ALMOST:
+            reached = _Following(edit.moved_to(iterate.clip, window), clip, window)
+            blocks = [reached if isinstance(block, _Following) else block for block in iterate.blocks]
+            iterate = solve(run, replace(iterate, blocks=tuple(blocks)))
+        iterate = refine_and_certify(run, iterate)
     return request, iterate
 
 
