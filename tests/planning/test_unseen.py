@@ -13,8 +13,10 @@ from vehsim import Mark
 from vehsim.errors import SolveError
 from vehsim.planning.certificates import extent
 from vehsim.planning.guesses.astar import guess_drive
+from vehsim.planning.guesses.routes import shunting, straight
 from vehsim.planning.refine import execution_tolerance
 from vehsim.planning.request.marks import heading_of
+from vehsim.planning.request.request import make_request
 from vehsim.world.obstacles.obstacles import box, footprint
 from vehsim.world.obstacles.plane import placed
 
@@ -200,3 +202,51 @@ def test_a_helicopter_flies_straight_through_a_gap_for_its_hull():
 def test_a_gap_too_narrow_is_refused_with_a_width_that_will_do():
     with pytest.raises(SolveError, match="widen the gap to 14 m, raise the ceiling or lower the clearance"):
         through_a_gap(11.0)
+
+
+@pytest.mark.parametrize("frame", ["free", 481])
+@pytest.mark.parametrize(("name", "away"), [("car", 25), ("car", 55), ("simple_car", 40), ("truck", 30), ("truck", 60)])
+def test_a_vehicle_reverses_to_a_mark_behind_it(name, away, frame):
+    """It turned round twice, at twice the cost, and a truck came to rest with its trailer folded by 63 degrees."""
+    ends = [(1, (0.0, 0.0, 0.0)), (frame, (-float(away), 0.0, 0.0))]
+    plan = vehsim.plan(
+        vehsim.load_vehicle(name), None, [Mark(f, position=p, heading=0, velocity=REST) for f, p in ends], fps=24
+    )
+    assert plan.success and plan.character == "normal", plan.message
+    way = np.linalg.norm(np.diff(plan.clip.positions[:, :2], axis=0), axis=1).sum()
+    assert way < 1.02 * away
+    if name == "truck":
+        assert abs(plan.clip.joints[-1, plan.clip.vehicle.joints.index("hitch_1")]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "heading", "seconds"),
+    [
+        ("car", (5.6, -17.8), 113.1, 22.2),
+        ("car", (18.9, -28.4), 116.1, 22.5),
+        ("truck", (8.4, -26.7), 113.1, 27.9),
+        ("truck", (28.3, -42.7), 116.1, 28.25),
+    ],
+)
+def test_the_cheapest_way_round_is_taken(name, place, heading, seconds):
+    """From straight paths, cars turned at up to three times the cost, and trucks at up to seven times."""
+    vehicle = vehsim.load_vehicle(name)
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark(1 + round(24 * seconds), position=(*place, 0), heading=heading, velocity=REST),
+    ]
+    plan = vehsim.plan(vehicle, None, marks, fps=24)
+    request = make_request(vehicle, None, marks, fps=24, segments=64)
+    (driven,) = shunting(request, straight(request))
+    assert plan.success and plan.cost <= 1.01 * vehsim.plan(vehicle, None, marks, fps=24, guess=driven).cost
+
+
+def test_a_car_shuttles_between_two_marks():
+    """It drove the whole loop backwards, as a stunt."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0),
+        Mark(1200, position=(30, 20, 0), velocity=REST, hold=48),
+        Mark(1500),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, fps=24, loop=True)
+    assert plan.success and plan.message == "solved"

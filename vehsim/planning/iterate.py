@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -114,6 +115,11 @@ class Iterate(Trajectory):
     def success(self) -> bool:
         """Whether the last solve succeeded."""
         return self.solution is not None and self.solution.success
+
+    @property
+    def cost(self) -> float:
+        """The cost of its motion; infinite if it was not solved."""
+        return self.solution.cost if self.solution is not None and self.solution.success else math.inf
 
     def block(self, kind: type[B]) -> B | None:
         """The first block of a kind, or None."""

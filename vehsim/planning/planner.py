@@ -35,18 +35,30 @@ from vehsim.planning.fallbacks import (
     in_narrow_places,
     with_fewer_requirements,
 )
-from vehsim.planning.guesses.routes import InitialGuess, as_clip, initial_guess, reversing, roundabout, straight
+from vehsim.planning.guesses.astar import turning_radius
+from vehsim.planning.guesses.routes import (
+    AWAY,
+    InitialGuess,
+    along_legs,
+    as_clip,
+    backwards,
+    initial_guess,
+    reversing,
+    roundabout,
+    shunting,
+    straight,
+)
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, MET, Patience
-from vehsim.planning.problem.transcription import transcribe
+from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_on_frames, to_requested_segments
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
-from vehsim.planning.request.legs import facing, same_choices
+from vehsim.planning.request.legs import facing, path_length, same_choices
 from vehsim.planning.request.marks import Mark, shape
-from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened
+from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened, with_trailers_straight
 from vehsim.planning.request.request import Request, all_marks, make_request
 from vehsim.planning.restraint import in_character, nearby, restrain, restrained, without_character
 from vehsim.planning.rolled import with_slip, without_slip
@@ -88,6 +100,10 @@ and out of rest would take time that the rest of the motion needs, which then is
 WORSE = 3.0
 """Ratio by which a motion in a harder character may exceed the limits of the request's more than one that exceeds them
 as little as possible."""
+FOLDED = math.radians(30)
+"""Largest angle at which a trailer comes to rest, unless a mark gives it or no other motion is found."""
+REVERSED = 16.0
+"""Longest way that a driver reverses rather than turning round, in turning radii: our choice."""
 QUICK = Patience(60, near=1e-2)
 """That of a solve in a character, after which it is compared with a stunt."""
 PRESSED = 1.2, 3.0
@@ -365,7 +381,7 @@ def _in_one_character(request: Request, progress: Progress | None, guess: Any, e
     if request.segments < enough:
         made = _in_one_character(replace(request, segments=enough), progress, guess, early)
         return _remarked(made, f"; with {enough} segments, because {request.segments} are too few")
-    made, limited = _attempt(request, progress, guess, early=early), ""
+    made, limited = _unfolded(_attempt(request, progress, guess, early=early), request, progress, guess), ""
     while made._iterate is not None and made._iterate.success and (tops := _exceeded(made, request)):
         request = replace(request, limits=request.limits.within(tops))
         made = _attempt(request, progress, guess)
@@ -389,6 +405,21 @@ def _in_one_character(request: Request, progress: Progress | None, guess: Any, e
         if stunt.success:
             made = _remarked(stunt, f"; not in character: no {request.traits.name} motion was found")
     return _remarked(made, limited) if limited else made
+
+
+def _unfolded(made: Plan, request: Request, progress: Progress | None, guess: Any) -> Plan:
+    """A plan at whose last mark trailers rest folded, planned again with them straight there; unchanged if the mark
+    gives joints, or if no such motion is found."""
+    vehicle, last = request.vehicle, request.marks[-1]
+    assert made._run is not None
+    free = vehicle.tied and last.at_rest and last.joints is None and not request.loop
+    if not (free and made.success) or made._run.deadline.late:
+        return made
+    if np.abs(made.clip.joints[-1, list(vehicle.tied)]).max() < FOLDED:
+        return made
+    marks = [*request.marks[:-1], with_trailers_straight(vehicle, last)]
+    again = _attempt(replace(request, marks=marks), progress, guess, once=True)
+    return again if again.success and not _too_hard(again) else made
 
 
 def _fails_in_character(plan: Plan) -> bool:
@@ -483,6 +514,7 @@ def _attempt(request: Request, progress: Progress | None, given: Any, once: bool
     except OutOfTime as error:
         guess, cover, late = InitialGuess(straight(request), as_clip(request, given)), None, f" ({error})"
     posed, easy = _posed(request, guess.paths), not once and _is_easy(request, cover)
+    guess = _turning(run, posed, transcription, guess) if cover is None else guess
     iterate = begin(run, posed, transcription, cover, guess.paths, guess.clip, coarse=not easy)
     hopeless = run.deadline.hopeless
     # a stunt may slide, which is tried first
@@ -559,6 +591,22 @@ def _by_its_surface(run: Run, iterate: Iterate, request: Request) -> Iterate:
     # from the motion itself: from its guess it takes four times as many iterations, to motions that are no better
     narrow = solve(run, by_surface(iterate))
     return narrow if narrow.success and _strain(narrow, request) < WORTH * strain else iterate
+
+
+def _turning(run: Run, request: Request, transcription: Transcription, guess: InitialGuess) -> InitialGuess:
+    """The guess or, for a vehicle whose nose points away from its way, that from which the coarse motion costs least:
+    also along arcs and lines that it can drive, forwards and backwards, and straight back if no nose points ahead and
+    it is not far."""
+    along = along_legs(request)
+    if guess.given or run.deadline.late or not (along < AWAY).any():
+        return guess
+    if not (driven := shunting(request, guess.paths)):
+        return guess
+    back = straight(request)
+    short = sum(map(path_length, back)) <= REVERSED * turning_radius(request.vehicle) and (along < AWAY).all()
+    guesses = [InitialGuess(driven), *([InitialGuess(backwards(request, back))] if short else []), guess]
+    coarse = [solve(run, begin(run, request, transcription, None, each.paths), QUICK) for each in guesses]
+    return guesses[int(np.argmin([each.cost for each in coarse]))]
 
 
 def _is_easy(request: Request, cover: SphereCover | None) -> bool:

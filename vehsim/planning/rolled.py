@@ -6,7 +6,6 @@ alone. At its marks a car without slip drives nearly the same motion, unless tha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -61,7 +60,7 @@ def without_slip(run: Run, request: Request, guess: InitialGuess) -> Iterate | N
         found = [each for each in solved if each.success]
         if found:
             run.iterations += own.iterations
-            return settle_on_frames(own, restrain(own, min(found, key=_cost)))
+            return settle_on_frames(own, restrain(own, min(found, key=lambda each: each.cost)))
     return None
 
 
@@ -91,12 +90,12 @@ def with_slip(run: Run, begun: Iterate, rolled: Iterate) -> Iterate:
     sloping = request.weighed is not request.vehicle
     for times in (1, 2) if sloping and 2 * request.segments <= MOST_SEGMENTS else (1,):
         solved = _slipping(run, replace(begun, request=replace(request, segments=times * request.segments)), rolled)
-        if solved.success and _cost(solved) <= POORER * _cost(rolled):
+        if solved.success and solved.cost <= POORER * rolled.cost:
             return solved
         tried.append(solved)
         if run.deadline.late:
             break
-    return min(tried, key=_cost)
+    return min(tried, key=lambda each: each.cost)
 
 
 def _slipping(run: Run, begun: Iterate, rolled: Iterate) -> Iterate:
@@ -112,8 +111,3 @@ def _slipping(run: Run, begun: Iterate, rolled: Iterate) -> Iterate:
         if solved.success or run.deadline.late:
             break
     return solved
-
-
-def _cost(iterate: Iterate) -> float:
-    """Its cost; infinite if it was not solved."""
-    return iterate.solution.cost if iterate.success and iterate.solution is not None else math.inf

@@ -40,6 +40,8 @@ avoids them, see `SHY`. Round both towers instead of between them, a flight bank
 RUN_UP = 0.5
 """Length of the straight way to a mark that is passed in a direction, relative to the turning radius."""
 
+AWAY = -1e-6
+"""Cosine of the angle between a leg and a nose below which the nose points away."""
 CURVE_POINTS, GENTLE = 33, math.radians(25.0)
 """Points of a curve from mark to mark; its largest angle with the straight line at its ends, rad: from sharper curves,
 a car on tyres was solved less often than from straight lines."""
@@ -235,18 +237,21 @@ def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
     return poses
 
 
+def along_legs(request: Request) -> Array:
+    """The cosines (legs, 2) of the angles between each leg and the noses at its marks; nan where a heading is free or
+    the leg has no length."""
+    noses = [np.nan if (nose := heading_of(mark)) is None else nose for mark in request.stops]
+    steps = np.array([np.subtract(end, start)[:2] for start, end in legs_between(request.stops)])
+    lengths = np.linalg.norm(steps, axis=1)
+    steps[lengths < 1e-6] = np.nan
+    pairs = np.array(list(pairwise(noses)))
+    return np.asarray((steps[:, :1] * np.cos(pairs) + steps[:, 1:] * np.sin(pairs)) / lengths[:, None])
+
+
 def reversing(request: Request) -> Array | None:
-    """Poses (k, 4) of a vehicle that reverses straight from mark to mark; None if no mark's nose points away from its
-    leg."""
-    noses = pairwise(heading_of(mark) for mark in request.marks)
-    steps = [np.subtract(end, start)[:2] for start, end in legs_between(request.marks)]
-    away = any(
-        step @ [math.cos(nose), math.sin(nose)] < -1e-6
-        for step, ends in zip(steps, noses, strict=True)
-        for nose in ends
-        if nose is not None
-    )
-    poses = backwards(request, straight(request)) if away and not request.loop else []
+    """Poses (k, 4) of a vehicle that reverses straight from mark to mark; None if no nose points away."""
+    away = bool((along_legs(request) < AWAY).any()) and not request.loop
+    poses = backwards(request, straight(request)) if away else []
     return np.vstack(poses) if poses else None
 
 

@@ -158,13 +158,18 @@ def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> list[Ma
     bay, unless marks give joints. A free trailer would start folded, as its tractor then leaves more easily."""
     if not vehicle.tied:
         return list(marks)
+    bay = world is not None and any(_in_bay(vehicle, world, mark) for mark in marks)
+    return [
+        with_trailers_straight(vehicle, mark) if mark.at_rest and mark.joints is None and (bay or not i) else mark
+        for i, mark in enumerate(marks)
+    ]
+
+
+def with_trailers_straight(vehicle: Vehicle, mark: Mark) -> Mark:
+    """The mark with joints at which trailers stand straight; other joints are free."""
     straight = np.full(len(vehicle.joints), np.nan)
     straight[list(vehicle.tied)] = 0.0
-    bay = world is not None and any(_in_bay(vehicle, world, mark) for mark in marks)
-    free = [mark.at_rest and mark.joints is None and (bay or not i) for i, mark in enumerate(marks)]
-    return [
-        replace(mark, joints=tuple(straight.tolist())) if each else mark for mark, each in zip(marks, free, strict=True)
-    ]
+    return replace(mark, joints=tuple(straight.tolist()))
 
 
 def _in_bay(vehicle: Vehicle, world: Any, mark: Mark) -> bool:
