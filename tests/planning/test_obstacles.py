@@ -364,7 +364,9 @@ def test_trailers_stand_straight_first_and_in_bays_unless_marks_say_otherwise():
     for open_side in (World(obstacles=world.obstacles[:1]), None):  # where it can turn
         np.testing.assert_equal(joints(open_side, first, last)[0], straight)
         assert joints(open_side, first, last)[1] is None
-    assert joints(None, replace(first, velocity=(2.0, 0.0, 0.0)), last) == [None, None]
+    moving = [replace(first, velocity=(2.0, 0.0, 0.0)), last]
+    np.testing.assert_equal(joints(None, *moving)[0], straight)
+    assert straightened(truck, None, moving, loop=True)[0].joints is None
     assert joints(None, replace(first, joints=bent), last) == [bent, None]
     marks = [first, last]
     chosen, aside = straightened(truck, world, marks), replace(last, joints=bent)
@@ -383,6 +385,19 @@ def test_a_truck_starts_with_its_trailer_behind_it():
     assert plan.success, plan.message
     hitch = np.degrees(plan.clip.joints[:, truck.joints.index("hitch_1")])
     assert abs(hitch[0]) < 1e-6 and np.abs(hitch).max() < 5
+
+
+def test_other_guesses_come_before_folded_trailers():
+    """Its trailer started folded by 63 degrees, without a word: only then were other ways into the lane tried."""
+    truck = vehsim.load_vehicle("truck")
+    walls = [ob.box(f"wall {side}", (-10, 3.2 * side, 0), (14, 0.5, 3)) for side in (-1, 1)]
+    marks = [
+        Mark(1, position=(25, -15, 0), heading=90, velocity=REST),
+        Mark("free", position=(-5, 0, 0), heading=0, velocity=REST),
+    ]
+    plan = vehsim.plan(truck, World(obstacles=walls), marks, clearance=0.4)
+    assert plan.success, plan.message
+    np.testing.assert_allclose(plan.clip.joints[0, 2], 0, atol=1e-6)
 
 
 def test_drafts_keep_trailers_straight_in_bays():

@@ -149,3 +149,19 @@ def test_an_end_that_cannot_be_continued_leaves_the_other(monkeypatch):
         clip = solve("car").clips["it"]
     speeds = np.linalg.norm(np.diff(clip.resample().positions, axis=0), axis=1) * 24
     assert speeds[0] > 10 and speeds[-1] == 0
+
+
+def test_trailers_stay_within_their_limits_before_a_motion():
+    """Backwards in time, a trailer that is pulled folds: from 40 degrees, this one would by 90."""
+    marks = [
+        {"frame": 1001, "position": [0, 0, 0], "heading": 0, "velocity": [6, 0, 0], "joints": {"hitch_1": 0.7}},
+        {"frame": 1121, "position": [40, 0, 0], "heading": 0, "velocity": [8, 0, 0]},
+    ]
+    shot = {
+        "shot": {"schema": 1, "name": "folded", "end_frame": 1121, "handles": 24},
+        "vehicle": [{"name": "it", "asset": "truck", "motion": {"method": "plan", "mark": marks}}],
+    }
+    with pytest.warns(UserWarning, match="through the handle before frame 1001 with the velocity it has there"):
+        clip = Shot.from_dict(shot).solve().clips["it"]
+    hitch = np.degrees(clip.joints[:, clip.vehicle.joints.index("hitch_1")])
+    assert clip.start_frame == 977 and 39 < np.abs(hitch).max() < 63.1

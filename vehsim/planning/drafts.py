@@ -169,7 +169,7 @@ def _first(request: Request, clip: Clip | None) -> Draft:
         cover = cover_for(request, guess.paths, run.deadline.watched(None))
         like = guess.clip
         marks = _facing_as(like, request) if like is not None and request.weights["course"] else request.marks
-        posed = straightened(request.vehicle, request.world, marks)
+        posed = straightened(request.vehicle, request.world, marks, request.loop)
         if posed != list(request.marks):
             request = replace(request, given=request.marks, marks=posed)
         first = begin(run, request, transcribe(request.weighed), cover, guess.paths, like, coarse=False)

@@ -75,18 +75,18 @@ def with_fewer_requirements(run: Run, iterate: Iterate, request: Request, guess:
     for segments, remark in tries:
         if run.deadline.late:
             break
-        unposed = _unposed(iterate.request)
+        less = unposed(iterate.request)
         changed = replace(request, segments=segments)
         run = Run(changed, run.progress)
         again = begin(run, changed, iterate.transcription, iterate.cover, guess.paths, guess.clip)
         iterate = solve(run, again)
         if iterate.success:
-            iterate = replace(iterate, remark=unposed + remark)
+            iterate = replace(iterate, remark=less + remark)
             break
     return run, iterate
 
 
-def _unposed(request: Request) -> str:
+def unposed(request: Request) -> str:
     """What is said of a motion without the usual poses at marks at rest."""
     if not request.given:
         return ""
@@ -95,14 +95,17 @@ def _unposed(request: Request) -> str:
     return f"; {what}: no such motion was found"
 
 
-def from_other_guesses(run: Run, failed: Iterate, guess: InitialGuess, untried: Iterate | None = None) -> Iterate:
+def from_other_guesses(
+    run: Run, failed: Iterate, guess: InitialGuess, untried: Iterate | None = None, *, brief: bool = False
+) -> Iterate:
     """The iterate solved from other initial guesses, or the failed one with the reason.
 
     A flight through a narrow place tries the way around it. A vehicle that drives nose first tries to reverse, then to
     change its direction on the way. Then, in free space, a relaxed problem finds out whether the marks can be met
     together at all. Near obstacles this comes last, since relaxed problems take longer there.
 
-    ``untried``: the first guess in its character, if only its stunt was tried: it comes after the other guesses.
+    ``untried``: the first guess in its character, if only its stunt was tried: it comes after the other guesses;
+    ``brief``: look for no reason, as less is asked of the motion afterwards.
     """
     iterate = failed
     for other in (around, backwards, shunting) if not guess.given else ():
@@ -112,14 +115,14 @@ def from_other_guesses(run: Run, failed: Iterate, guess: InitialGuess, untried: 
             iterate = solve(run, _again(run, failed, InitialGuess(driven)))
     if iterate.success:
         return iterate
-    if not failed.blocked and not run.deadline.late:
+    if not (failed.blocked or brief or run.deadline.late):
         iterate = _diagnosed(run, failed, guess)
     for wariness, (stretch, bend) in enumerate(RETRIES, 1):
         if iterate.success or iterate.why or run.deadline.late:
             return iterate
         others = InitialGuess(_other_paths(iterate, guess, wariness, bend))
         iterate = solve(run, _again(run, iterate, others, stretch=stretch))
-    if iterate.success or iterate.why or run.deadline.late:
+    if iterate.success or iterate.why or brief or run.deadline.late:
         return iterate
     last = iterate if untried is None else solve(run, untried)
     if last.success:

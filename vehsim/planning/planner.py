@@ -33,6 +33,7 @@ from vehsim.planning.fallbacks import (
     enough_segments,
     from_other_guesses,
     in_narrow_places,
+    unposed,
     with_fewer_requirements,
 )
 from vehsim.planning.guesses.astar import turning_radius
@@ -576,10 +577,15 @@ def _found(
             relaxed = replace(request, traits=NO_TRAITS)
         if not iterate.success:
             iterate = in_narrow_places(run, iterate, guess)
+    posed = iterate.request
+    if not iterate.success and posed.given:
+        iterate = from_other_guesses(run, iterate, guess, brief=True)
     if not iterate.success:
         run, iterate = with_fewer_requirements(run, iterate, relaxed, guess)
     if not iterate.success:
         iterate = from_other_guesses(run, iterate, guess, untried)
+        if iterate.success:
+            iterate = replace(iterate, remark=unposed(posed))
     return run, iterate
 
 
@@ -675,7 +681,8 @@ def _posed(request: Request, paths: Sequence[Array]) -> Request:
     posed = facing(given, paths, request.aimed) if request.weights["course"] else given
     if posed != given:
         posed = facing_clear(vehicle, request.world, given, posed, request.clearance, request.fps)
-    posed = straightened(vehicle, request.world, posed)  # in reverse, a trailer diverges from where it starts
+    # in reverse, a trailer diverges from where it starts
+    posed = straightened(vehicle, request.world, posed, request.loop)
     return request if list(posed) == list(given) else replace(request, marks=posed, given=given)
 
 

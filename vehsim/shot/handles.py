@@ -88,7 +88,7 @@ def _before(name: str, clip: Clip, first: int, world: World) -> Clip:
     except SolveError:
         sudden = True
     if sudden:
-        before = earlier(_steadily(integrator, start, controls, h, count))
+        before = earlier(_steadily(integrator, start, controls, h, count, _limits(clip)))
         message = (
             f"{name}: it comes through the handle before frame {clip.start_frame} with the velocity it has there: "
             "backwards in time, its own motion with constant controls would become violent; if that matters, begin the "
@@ -99,10 +99,14 @@ def _before(name: str, clip: Clip, first: int, world: World) -> Clip:
 
 
 def _as_gentle(before: Clip, clip: Clip) -> bool:
-    """Whether velocities change in a handle hardly more suddenly than in the motion itself.
+    """Whether velocities change in a handle hardly more suddenly than in the motion itself, and joints stay within
+    their limits.
 
-    What drag and dampers slow down forwards in time grows backwards: a boat would spin.
+    What drag and dampers slow down forwards in time grows backwards: a boat would spin, and a trailer fold.
     """
+    low, high = _limits(clip)
+    if ((before.joints < low) | (before.joints > high)).any():
+        return False
     kinds = np.split(np.arange(clip.vehicle.group.dim), [1 if clip.vehicle.group.planar else 3])
 
     def largest(motion: Clip) -> Array:
@@ -112,8 +116,18 @@ def _as_gentle(before: Clip, clip: Clip) -> bool:
     return bool(np.all(largest(before) <= np.maximum(SUDDENLY * largest(clip), FREELY)))
 
 
-def _steadily(integrator: Integrator, start: Phase, controls: Array, h: float, count: int) -> list[Phase]:
-    """Phases back in time from ``start``, each ``h`` s earlier than the one before, at its velocity in body axes."""
+def _limits(clip: Clip) -> tuple[Array, Array]:
+    """The lowest and highest values of joints (s,), at least those of a motion."""
+    given = [clip.vehicle.joint_limits.get(joint, (-np.inf, np.inf)) for joint in clip.vehicle.joints]
+    low, high = np.array(given, float).reshape(-1, 2).T
+    return np.minimum(low, clip.joints.min(axis=0)), np.maximum(high, clip.joints.max(axis=0))
+
+
+def _steadily(
+    integrator: Integrator, start: Phase, controls: Array, h: float, count: int, limits: tuple[Array, Array]
+) -> list[Phase]:
+    """Phases back in time from ``start``, each ``h`` s earlier than the one before, at its velocity in body axes, with
+    joints up to their ``limits``."""
     import casadi as ca
 
     mechanics, t = integrator.mechanics, ca.SX.sym("t")
@@ -121,7 +135,7 @@ def _steadily(integrator: Integrator, start: Phase, controls: Array, h: float, c
     u, xi = mechanics.knot_velocity(*map(ca.SX, (start.r, start.pi, controls)))
     back = ca.Function("back", [t], [group.compose(ca.SX(start.g), group.exp(-t * xi)), start.r - t * u])
     found = [[np.asarray(part).ravel() for part in back(k * h)] for k in range(1, count + 1)]
-    return [start, *(replace(start, g=g, r=r) for g, r in found)]
+    return [start, *(replace(start, g=g, r=np.clip(r, *limits)) for g, r in found)]
 
 
 def _joined(earlier: Clip, later: Clip) -> Clip:

@@ -153,16 +153,18 @@ def marks_too_near(
             yield i, f"{what}in {where}", "move the mark" if rock else "move the mark or the obstacle"
 
 
-def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> list[Mark]:
-    """The marks; trailers stand straight at a first mark at rest, and wherever the vehicle rests if it does so in a
-    bay, unless marks give joints. A free trailer would start folded, as its tractor then leaves more easily."""
+def straightened(vehicle: Vehicle, world: Any, marks: Sequence[Mark], loop: bool = False) -> list[Mark]:
+    """The marks; trailers stand straight at a first mark, in a loop only at rest, and wherever the vehicle rests if it
+    does so in a bay, unless marks give joints. A free trailer would start folded, as its tractor then leaves more
+    easily."""
     if not vehicle.tied:
         return list(marks)
     bay = world is not None and any(_in_bay(vehicle, world, mark) for mark in marks)
-    return [
-        with_trailers_straight(vehicle, mark) if mark.at_rest and mark.joints is None and (bay or not i) else mark
+    free = [
+        mark.joints is None and (mark.at_rest and bay if i else mark.at_rest or not loop)
         for i, mark in enumerate(marks)
     ]
+    return [with_trailers_straight(vehicle, mark) if each else mark for mark, each in zip(marks, free, strict=True)]
 
 
 def with_trailers_straight(vehicle: Vehicle, mark: Mark) -> Mark:
