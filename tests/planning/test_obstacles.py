@@ -12,6 +12,7 @@ import vehsim
 from vehsim import Mark, State, World
 from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import yaw_of
+from vehsim.planning import certificates
 from vehsim.planning.certificates import certify_plane
 from vehsim.planning.certify import _settles
 from vehsim.planning.constraints import features
@@ -554,6 +555,25 @@ def test_certification_finds_the_closest_approach_between_samples(car):
     widest = np.abs(ob.footprint(car)[:, 1]).max()
     assert nearest == pytest.approx(1.6 - widest, abs=2e-3)
     assert by_segment.shape == (1, len(clip) - 1)
+
+
+@pytest.mark.parametrize(("ahead", "late"), [(7.0, 0), (8.0, 24), (-6.0, -30), (12.0, 400)])
+def test_cars_in_a_row_are_certified_from_few_poses(car, ahead, late, monkeypatch):
+    """Only their relative motion counts: by the ways of both, it took a hundred thousand poses and 22 s."""
+
+    def drive(x, first):
+        ends = [(first, (x, 0.0, 0.0), 0.0), (first + 240, (60.0 + x, 15.0, 0.0), 20.0)]
+        marks = [Mark(frame, position=place, heading=nose, velocity=REST) for frame, place, nose in ends]
+        return vehsim.plan(car, None, marks, fps=24).clip
+
+    other, clip, measured = ob.moving("other", drive(ahead, 1 + late)), drive(0.0, 1), []
+    real = certificates.gaps_to
+    monkeypatch.setattr(certificates, "gaps_to", lambda *a: measured.append(len(a[1])) or real(*a))
+    nearest, _ = certify_plane(clip, [(other, 0)])
+    fine = clip.at(np.linspace(0, clip.duration, 20001))
+    outlines = placed(ob.footprint(car), fine.positions[:, :2], yaw_of(fine.orientations))
+    densely = distance(outlines, other.shapes_at(clip.start_frame / 24 + fine.times)[0]).min()
+    assert nearest == pytest.approx(densely, abs=1.1e-3) and sum(measured) < 2000
 
 
 def test_violated_obstacles_are_activated_near_the_violation(car):

@@ -150,16 +150,18 @@ class _Measure(ABC):
         """Bounds on the motion between ``pairs`` (m, 2) of poses.
 
         Returns the distance travelled by the root (m,), the distance that any point travels by rotation (m,), and for
-        each moving obstacle the distance that any of its points travels (m,), all in m.
+        each moving obstacle the distance that the root travels relative to any of its points (m,), all in m.
         """
         omega, velocity = spatial(motion)
         moved, turn = _path(times, motion.positions, velocity, omega, pairs)
         others = []
         for o in self.moving:
-            w, t = _path(*o.motion_at(self.start + times), pairs)
-            others.append(
-                w + reach(o.clip.vehicle) * t + _swing(o.clip.vehicle, o.channels_at(self.start + times), pairs)
-            )
+            seconds = self.start + times
+            at, positions, speeds, spins = o.motion_at(seconds)
+            apart, turned = _path(times, motion.positions - positions, velocity - speeds, spins, pairs)
+            swing = _swing(o.clip.vehicle, o.channels_at(seconds), pairs)
+            stands = at[pairs[:, 0]] == at[pairs[:, 1]]  # before its first frame and after its last
+            others.append(np.where(stands, moved, apart + reach(o.clip.vehicle) * turned + swing))
         return moved, self.around * turn, others
 
     @abstractmethod
@@ -192,7 +194,7 @@ class _Hulls(_Measure):
             self.known.update(zip(times[new].tolist(), found.tolist(), strict=True))
         travelled, turn, others = self.travel(times, motion, pairs)
         swing = _swing(motion.vehicle, motion.channels, pairs)
-        moved = (1 + self.slope) * travelled + turn + swing + np.max(others, axis=0, initial=0.0)
+        moved = np.max([travelled, *others], axis=0) + self.slope * travelled + turn + swing
         return np.array([[self.known[t] for t in times.tolist()]]), moved[None]
 
 
@@ -224,7 +226,7 @@ class _Outlines(_Measure):
             steps = [np.abs(np.diff(motion.channels[name][pairs], axis=1))[:, 0] for name, _, _ in swing.pivots]
             swung = np.maximum(swung, LEAN * swing.reach * np.sum(steps, axis=0))
         their = iter(others)
-        moved = np.array([travelled + turn + swung + (next(their) if o.moves else 0.0) for o, _ in self.parts])
+        moved = np.array([(next(their) if o.moves else travelled) + turn + swung for o, _ in self.parts])
         shapes = [o.shapes_at(self.start + times)[number] for o, number in self.parts]
         bounds = np.array([bounds_to(shape, outlines) for shape in shapes])
         # the exact distance to the part with the smallest bound is an upper bound on the smallest distance
