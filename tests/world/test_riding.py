@@ -122,6 +122,19 @@ def test_what_a_planned_boat_ignores_of_its_water_is_told(water, ignored):
     assert f"planned on calm, still water, without the {ignored};" in str(problem)
 
 
+@pytest.mark.parametrize(("asset", "told"), [("helicopter", True), ("boat", True), ("car_lie", False)])
+def test_a_plan_without_the_gusts_is_told(asset, told):
+    ends = [{"frame": 1001 + 240 * k, "position": [20 * k, 0, 30 * (asset == "helicopter")]} for k in (0, 1)]
+    found = Shot.from_dict(
+        {
+            "shot": {"schema": 1, "name": "windy"},
+            "world": {"wind": [3, 0, 0], "gusts": {}},
+            "vehicle": [{"name": "it", "asset": asset, "motion": {"method": "plan", "mark": ends}}],
+        }
+    ).check()
+    assert any("in the steady wind, without the gusts" in str(problem) for problem in found) == told
+
+
 def level(speed):
     """A boat in the plane at a steady speed, as it is solved."""
     marks = [vehsim.Mark(24 * k, position=(speed * k, 2, 0), velocity=(speed, 0, 0)) for k in range(3)]

@@ -60,6 +60,8 @@ JOINTS = "joints", "joint_rates"
 """The limits that are tables of joints."""
 UNEVEN = 0.02
 """Largest height above the ground, m, of a part of a standing vehicle without a warning."""
+IGNORED = "simulate the plan's controls to see their effect, or leave them out"
+"""The remedy for what does not act on plans."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +222,7 @@ def make_request(
             remedy = "limit g_load or acceleration"
             raise InputError(f"{vehicle.name} does not stand on tyres", remedy, key=f"limits.{name}")
     marks = afloat(marks, vehicle, world)
+    _tell_of_gusts(vehicle, world)
     vehicle = vehicle.planar or vehicle
     world = at_level(world, vehicle, marks)
     if not (math.isfinite(clearance) and clearance >= 0):
@@ -324,8 +327,7 @@ def afloat(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> Sequence[Mark
     if any(acts.values()):
         ignored = " and ".join(name for name, there in acts.items() if there)
         message = f"the motion is planned on calm, still water, without the {ignored}"
-        remedy = "simulate the plan's controls to see their effect, or leave them out"
-        warnings.warn(Caution(Problem("mark", message, remedy)), stacklevel=4)
+        warnings.warn(Caution(Problem("mark", message, IGNORED)), stacklevel=4)
     floating = world.water.level + Afloat(boat, world).floating()[0] - float(boat.origin[2])
     height = round(floating, 3) + 0.0
     for mark in marks:
@@ -334,6 +336,13 @@ def afloat(marks: Sequence[Mark], vehicle: Vehicle, world: Any) -> Sequence[Mark
             message = f"{z:.2f} m: {vehicle.name} floats on the water, at {height:.2f} m"
             warnings.warn(Caution(Problem(f"{mark.name}.position", message, "give that height, or 0")), stacklevel=4)
     return [mark if mark.position is None else replace(mark, position=(*mark.position[:2], height)) for mark in marks]
+
+
+def _tell_of_gusts(vehicle: Vehicle, world: Any) -> None:
+    """Warn of gusts, which do not act on plans."""
+    if getattr(world, "gusts", None) is not None and np.any(world.wind) and vehicle.feels_wind:
+        message, remedy = "the motion is planned in the steady wind, without the gusts", IGNORED
+        warnings.warn(Caution(Problem("mark", message, remedy)), stacklevel=4)
 
 
 def check_standing(vehicle: Vehicle, world: Any, marks: Sequence[Mark]) -> None:
