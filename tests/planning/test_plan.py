@@ -277,6 +277,24 @@ def test_replan_is_the_plan_of_the_new_marks(flight):
     np.testing.assert_allclose(again.clip.positions[-1], (121, 41, 35), atol=1e-7)
 
 
+@pytest.mark.parametrize(
+    ("name", "frame", "before", "moved"),
+    [
+        ("truck", "free", (-40.0, 0.0, 0.0), ("free", (40.0, 0.0, 0.0), 0.0)),
+        ("car", 1301, (40.0, 0.0, 0.0), (1160, (40.0, 0.0, 0.0), 0.0)),
+        ("helicopter", 1301, (60.0, 10.0, 0.0), (1301, (60.0, 80.0, 0.0), 180.0)),
+    ],
+)
+def test_a_replan_of_a_mark_that_moved_far_is_a_fresh_plan(name, frame, before, moved):
+    """A truck drove on round for 130 m where the mark was 40 m ahead; a car braked at twice what is `normal`."""
+    vehicle, first = vehsim.load_vehicle(name), Mark(1001, position=REST, heading=0, velocity=REST)
+    plan = vehsim.plan(vehicle, None, [first, Mark(frame, position=before, heading=0, velocity=REST)])
+    marks = [first, Mark(moved[0], position=moved[1], heading=moved[2], velocity=REST)]
+    again, fresh = plan.replan(marks), vehsim.plan(vehicle, None, marks)
+    assert again.success and again.character == fresh.character
+    assert again.cost < 1.01 * fresh.cost
+
+
 def test_replans_of_marks_that_face_along_their_legs_start_warm(helicopter, monkeypatch):
     """Marks at rest get headings along their legs: a replan must not treat them as other marks."""
     from vehsim.planning import planner

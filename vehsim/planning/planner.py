@@ -57,7 +57,7 @@ from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
-from vehsim.planning.request.legs import facing, path_length, same_choices
+from vehsim.planning.request.legs import facing, path_length, same_choices, turned_round
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened, with_trailers_straight
 from vehsim.planning.request.request import Request, all_marks, make_request
@@ -202,13 +202,16 @@ class Plan:
         before = self._iterate.request
         request = replace(before, marks=all_marks(marks, before.vehicle, before.world, before.terms), deadline=math.inf)
         given = before.given or before.marks
+        fresh = replace(request, given=())
         if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
-            return _solve(replace(request, given=()), progress, self.clip)
+            return _solve(fresh, progress, self.clip)
+        if turned_round(given, request.marks):
+            return _solve(fresh, progress, None)
         faced = replace(request, given=request.marks, marks=same_choices(request.marks, given, before.marks))
         run = Run(faced, progress, self._run.solvers)
-        iterate = settle_on_frames(run, solve(run, at_marks(self._iterate, faced, self._iterate.cover)))
-        if not iterate.success:  # no solution from here; its own initial guess may lead to one
-            return _solve(replace(request, given=()), progress, None)
+        iterate = _in_traits(run, solve(run, at_marks(self._iterate, faced, self._iterate.cover)), faced)
+        if not iterate.success or _is_too_hard(run, iterate):  # its own initial guess may lead to a solution
+            return _solve(fresh, progress, None)
         return _result(run, refine_and_certify(run, iterate))
 
 

@@ -49,6 +49,15 @@ def same_choices(marks: Sequence[Mark], given: Sequence[Mark], chosen: Sequence[
     ]
 
 
+def turned_round(before: Sequence[Mark], after: Sequence[Mark]) -> bool:
+    """Whether a leg or a heading turned by more than 90 degrees from marks to others of the same shape."""
+    legs = zip(legs_between(before), legs_between(after), strict=True)
+    back = any(np.dot(np.subtract(*old), np.subtract(*new)) < 0 for old, new in legs)
+    noses = [[heading_of(mark) for mark in marks] for marks in (before, after)]
+    pairs = [pair for pair in zip(*noses, strict=True) if None not in pair]
+    return back or any(math.cos(old - new) < 0 for old, new in pairs)
+
+
 def _bearing(path: Array) -> Array:
     """Horizontal direction (2,) of the start of a path; zero if the path is vertical there."""
     steps = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
