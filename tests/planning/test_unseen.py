@@ -241,10 +241,11 @@ def test_the_cheapest_way_round_is_taken(name, place, heading, seconds):
     assert plan.success and plan.cost <= 1.01 * vehsim.plan(vehicle, None, marks, fps=24, guess=driven).cost
 
 
-def test_a_car_shuttles_between_two_marks():
-    """It drove the whole loop backwards, as a stunt."""
+@pytest.mark.parametrize("heading", [None, 0.0])
+def test_a_car_shuttles_between_two_marks(heading):
+    """It drove the whole loop backwards, or most of it, as a stunt."""
     marks = [
-        Mark(1001, position=(0, 0, 0), heading=0),
+        Mark(1001, position=(0, 0, 0), heading=heading),
         Mark(1200, position=(30, 20, 0), velocity=REST, hold=48),
         Mark(1500),
     ]

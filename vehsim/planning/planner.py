@@ -43,6 +43,7 @@ from vehsim.planning.guesses.routes import (
     along_legs,
     as_clip,
     backwards,
+    doubles_back,
     initial_guess,
     reversing,
     roundabout,
@@ -603,14 +604,17 @@ def _by_its_surface(run: Run, iterate: Iterate, request: Request) -> Iterate:
 
 
 def _turning(run: Run, request: Request, transcription: Transcription, guess: InitialGuess) -> InitialGuess:
-    """The guess or, for a vehicle whose nose points away from its way, that from which the coarse motion costs least:
-    also along arcs and lines that it can drive, forwards and backwards, and straight back if no nose points ahead and
-    it is not far."""
+    """The guess or, for a vehicle whose nose points away from its way or whose way doubles back, that from which the
+    coarse motion costs least: also along arcs and lines that it can drive, forwards and backwards, and straight back if
+    no nose points ahead and it is not far. If time is limited, these are not solved, and the arcs and lines are taken.
+    """
     along = along_legs(request)
-    if guess.given or run.deadline.late or not (along < AWAY).any():
+    if guess.given or run.deadline.late or not ((along < AWAY).any() or doubles_back(request)):
         return guess
     if not (driven := shunting(request, guess.paths)):
         return guess
+    if math.isfinite(run.deadline.end):
+        return InitialGuess(driven)
     back = straight(request)
     short = sum(map(path_length, back)) <= REVERSED * turning_radius(request.vehicle) and (along < AWAY).all()
     guesses = [InitialGuess(driven), *([InitialGuess(backwards(request, back))] if short else []), guess]

@@ -248,6 +248,14 @@ def along_legs(request: Request) -> Array:
     return np.asarray((steps[:, :1] * np.cos(pairs) + steps[:, 1:] * np.sin(pairs)) / lengths[:, None])
 
 
+def doubles_back(request: Request) -> bool:
+    """Whether a leg leads back along the one before it, by less than a right angle between them."""
+    steps = np.array([np.subtract(end, start)[:2] for start, end in legs_between(request.stops)])
+    steps = steps[np.linalg.norm(steps, axis=1) > 1e-6]
+    following = np.roll(steps, -1, axis=0) if request.loop else steps[1:]
+    return bool(((steps[: len(following)] * following).sum(axis=1) < 0).any())
+
+
 def reversing(request: Request) -> Array | None:
     """Poses (k, 4) of a vehicle that reverses straight from mark to mark; None if no nose points away."""
     away = bool((along_legs(request) < AWAY).any()) and not request.loop

@@ -82,8 +82,8 @@ class PlanMotion(Table):
     """the optimiser: "ipopt", "sqpmethod" or "fatrop\""""
     guess: Annotated[Text, InSchema(lambda own: {"anyOf": [{"enum": [SINUSOID]}, own]})] | None = None
     """the initial guess: "sinusoid", a manoeuvre for a car or truck, or a clip saved by vehsim (.npz), relative to the
-    shot file; default: a straight path, the best of several if a nose points away from its leg, for cars on tyres the
-    motion without slip, or a path around obstacles"""
+    shot file; default: a straight path, the best of several if a nose points away from its leg or the way doubles back,
+    for cars on tyres the motion without slip, or a path around obstacles"""
     time_limit: Annotated[Positive, Field(le=1e5)] | None = None
     """seconds after which the best motion so far is used; the result then depends on the machine"""
 
