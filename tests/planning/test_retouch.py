@@ -255,7 +255,7 @@ def test_bodies_and_trailers_stay_on_their_springs_around_an_edit():
     """Springs remember for a second: a lorry leans on after the edit, and its trailer too, without a jump."""
     lorry, world = vehsim.load_vehicle("truck"), vehsim.World(terrain="flat")
     start = vehsim.State(position=(0, 0, 0), twist=(0.0, 6.0, 0.0))
-    clip = vehsim.simulate(lorry, world, lambda t, state: (300.0, 0.02 * np.sin(2 * t)), start, 6.0, step=1 / 96)
+    clip = vehsim.simulate(lorry, world, lambda t, state: (300.0, 0.02 * np.sin(2 * t)), start, 12.0, step=1 / 96)
     clip = place_on_terrain(clip, world)
     made = retouch(clip, world, *bumped(clip, 1045, 1085, (0.0, 0.2, 0.0))).clip
     far = made.times < 1.0 / 24
@@ -305,3 +305,13 @@ def test_a_far_edit_is_followed_as_far_as_the_iterations_reach():
     asked = np.linalg.norm(positions - clip.resample().positions, axis=1).max()
     assert made.metres.max() < 0.6 * asked and made.kept < KEPT
     assert np.linalg.norm(executed(made.clip) - clip.positions[-1]) < 0.03
+
+
+def test_an_edit_of_a_truck_leaves_room_for_its_trailer():
+    """Its trailer must follow the solved motion again: in a second, only with a swerve that missed most of the edit."""
+    ends = [(1001, (0, 0, 0)), (1501, (50, 10, 0))]
+    marks = [Mark(frame, position=place, heading=0, velocity=(0, 0, 0)) for frame, place in ends]
+    clip = vehsim.plan(vehsim.load_vehicle("truck"), None, marks, fps=24).clip
+    frames, positions, rotations = bumped(clip, 1090, 1210, (0.0, 0.5, 0.0))
+    made = retouch(clip, None, frames, positions, rotations, stops=[1001, 1501])
+    assert made.metres.max() < 0.03 and made.kept < KEPT

@@ -50,6 +50,7 @@ from vehsim.vehicles.definition.character import BRISK, STUNT
 from vehsim.vehicles.definition.joint_channels import joint_channels
 from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground.placing import place_on_terrain
+from vehsim.world.obstacles.articulated import articulated_footprint
 from vehsim.world.water.gliding import place_on_water
 
 Array = NDArray[np.float64]
@@ -86,6 +87,8 @@ LOOSE = 1e-3
 SMOOTH = 0.05
 """Cost per second of controls that bend away from the solved ones by a typical control per squared brisk response time
 of the vehicle. Those that merely change slowly would begin to at the ends of a window, with a jolt."""
+FOLLOWS = 4.0
+"""Lengths of a trailer on which it comes back to its way."""
 SAME = 1e-6
 """Difference below which two frames are one."""
 SPARE = 0.02
@@ -164,11 +167,13 @@ def retouch(
             "move its mark and solve it again, or edit other frames",
             subject=clip.vehicle.name,
         )
-    fixed, made, slower = [*stops, *edit.frames[landed]], None, _slower(clip.vehicle)
+    fixed, made = [*stops, *edit.frames[landed]], None
+    slower, trailing = _slower(clip.vehicle), _trailing(clip, edit)
     slides = math.isfinite(clip.vehicle.largest_step)
     knots = _knots(clip) if slides else None
     for room, segment in SLIDES if knots is not None else sorted(TRIES) if slides else TRIES:
-        tried = edit.windows(round(room * slower * float(clip.fps)), fixed, knots)
+        before, after = (round(room * seconds * float(clip.fps)) for seconds in (slower, max(slower, trailing)))
+        tried = edit.windows(before, after, fixed, knots)
         segments = knots if segment is None else segment
         assert segments is not None
         try:
@@ -177,15 +182,15 @@ def retouch(
             failed = error
             continue
         windows = tried
-        there, before = (each.at(_times(each, edit.frames)) for each in (made, clip))
-        kept = float(np.linalg.norm(there.positions - before.positions, axis=1)[~edit.touched].max(initial=0.0))
+        there, solved = (each.at(_times(each, edit.frames)) for each in (made, clip))
+        kept = float(np.linalg.norm(there.positions - solved.positions, axis=1)[~edit.touched].max(initial=0.0))
         if kept <= KEPT:  # between knots too
             break
     if made is None:
         raise failed
     metres, degrees = _apart(there, edit.positions, edit.rotations, edit.axes)
     touched = tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in _runs(edit.touched))
-    lifted = _runs(_lifted(before, positions, rotations)) if clip.vehicle.group.planar else []
+    lifted = _runs(_lifted(solved, positions, rotations)) if clip.vehicle.group.planar else []
     return Retouch(
         made,
         touched,
@@ -204,6 +209,15 @@ def _slower(vehicle: Vehicle) -> float:
     A force moves a mass by a distance in a time that goes with the root of 1 / force.
     """
     return float(SURFACES[vehicle.surface].friction ** -0.5)
+
+
+def _trailing(clip: Clip, edit: _Edit) -> float:
+    """The time, s, after which trailers follow the solved motion again after an edit; zero without trailers."""
+    reach = max((part.reach for part in articulated_footprint(clip.vehicle)), default=0.0)
+    if not clip.vehicle.tied or not edit.touched.any():
+        return 0.0
+    moving = np.linalg.norm(clip.at(_times(clip, edit.frames[edit.touched])).twists, axis=1)
+    return float(min(FOLLOWS * reach / max(moving.mean(), SAME), clip.duration))
 
 
 def check_pushed(vehicle: Vehicle) -> None:
@@ -241,15 +255,17 @@ class _Edit:
     def touched(self) -> NDArray[np.bool_]:
         return self.moved | self.turned
 
-    def windows(self, room: int, stops: Sequence[float], knots: Array | None = None) -> list[tuple[float, float]]:
-        """First and last frame of runs of touched frames, with ``room`` frames on either side, but not beyond
-        ``stops``; from knot to knot, if their frames ``knots`` (n,) are given; joined where they meet."""
+    def windows(
+        self, before: int, after: int, stops: Sequence[float], knots: Array | None = None
+    ) -> list[tuple[float, float]]:
+        """First and last frame of runs of touched frames, from so many frames ``before`` to ``after`` them, but not
+        beyond ``stops``; from knot to knot, if their frames ``knots`` (n,) are given; joined where they meet."""
         found: list[tuple[float, float]] = []
         fixed = [round(stop - self.frames[0]) for stop in stops]
         fixed = [k for k in fixed if 0 <= k < len(self.frames) and not self.touched[k]]
         for a, b in _runs(self.touched):
-            first = max([a - room, 0, *(k for k in fixed if k < a)])
-            last = min([b + room, len(self.frames) - 1, *(k for k in fixed if k > b)])
+            first = max([a - before, 0, *(k for k in fixed if k < a)])
+            last = min([b + after, len(self.frames) - 1, *(k for k in fixed if k > b)])
             begin, end = float(self.frames[first]), float(self.frames[last])
             if knots is not None:
                 i, j = np.searchsorted(knots, [begin + SAME, end - SAME])
