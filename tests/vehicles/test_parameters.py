@@ -27,6 +27,7 @@ from vehsim.vehicles.definition.mechanics import symbols
 from vehsim.vehicles.definition.quantities import Unit
 from vehsim.vehicles.library.library import MODELS, parameters_of
 from vehsim.vehicles.library.parameters import check_physics, physics_table
+from vehsim.vehicles.library.scales import usual_scales
 
 
 def shot(folder: Path, parameters: str) -> Path:
@@ -367,3 +368,25 @@ def test_a_plan_keeps_the_numbers_of_a_character_that_a_shot_replaces(tmp_path: 
 
     most = 0.8 * rate({})
     assert rate({"character": {"control_rates": {"torque": {"normal": most}}}}) < 1.05 * most
+
+
+@pytest.mark.parametrize("name", ["car", "simple_car", "truck", "snakeboard", "two_wheeled"])
+def test_usual_scales_are_of_the_size_of_chosen_ones(name: str) -> None:
+    vehicle = load_vehicle(name)
+    usual, chosen = usual_scales(vehicle), {control.name: control.scale for control in vehicle.controls}
+    assert set(usual) == set(chosen) - set(vehicle.rate_controls)
+    for control, scale in usual.items():
+        assert 1 / 4 < scale / chosen[control] < 4, control
+
+
+@pytest.mark.parametrize(
+    ("more", "thrust"),
+    [("", 1500.0), ("[controls.thrust]\nupper = 9000.0\n", 1500.0), ("[controls.thrust]\nscale = 70.0\n", 70.0)],
+)
+def test_a_scale_that_a_file_lacks_follows_from_the_mass(tmp_path: Path, more: str, thrust: float) -> None:
+    """Of a sleigh of 1,500 kg: 1,500 N, and the torque with the same energy norm."""
+    text = 'schema = 1\nname = "sleigh"\nmodel = "chaplygin_sleigh"\n[physics]\n'
+    text += "mass = 1500.0\nyaw_inertia = 600.0\nahead = 0.0\n"
+    (tmp_path / "vehicle.toml").write_text(text + more)
+    scales = [control.scale for control in load_vehicle(tmp_path).controls]
+    assert scales == pytest.approx([thrust, math.sqrt(1500.0 * 600.0)], rel=0.01)

@@ -199,6 +199,22 @@ def road_train(folder):
     return vehsim.load_vehicle(folder)
 
 
+@pytest.mark.parametrize(
+    ("place", "heading"), [((40.0, 0.0, 0.0), 0.0), ((60.0, 8.0, 0.0), 20.0), ((-20.0, 0.0, 0.0), 0.0)]
+)
+def test_a_custom_road_train_is_planned(tmp_path, place, heading):
+    """Its file gives no scales of controls: with torques in N m, plans failed after a minute. In reverse, it folded."""
+    train = road_train(tmp_path)
+    marks = [
+        vehsim.Mark(1, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        vehsim.Mark(481, position=place, heading=heading, velocity=(0, 0, 0)),
+    ]
+    plan = vehsim.plan(train, None, marks)
+    assert plan.success and plan.character == "normal", plan.message
+    ends = plan.clip.joints[[0, -1]][:, [train.joints.index(f"hitch_{k}") for k in (1, 2)]]
+    assert np.degrees(np.abs(ends).max()) < 15
+
+
 def test_a_custom_road_train_follows_the_ground(tmp_path):
     """Two trailers, one behind the other, without springs: they tilt until their wheels touch."""
     world, train = hilly(), road_train(tmp_path)

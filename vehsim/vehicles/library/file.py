@@ -83,7 +83,7 @@ class ControlTable(BoundsTable):
     """``[controls.NAME]``"""
 
     scale: Annotated[Positive, Field(ge=1e-9)] = 1.0
-    """the size of a typical value, above zero"""
+    """the size of a typical value, above zero; default: of forces, what accelerates the vehicle by 1 m/s^2"""
 
 
 class ActuatorTable(Table):
