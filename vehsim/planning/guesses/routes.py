@@ -241,7 +241,7 @@ def along_legs(request: Request) -> Array:
     """The cosines (legs, 2) of the angles between each leg and the noses at its marks; nan where a heading is free or
     the leg has no length."""
     noses = [np.nan if (nose := heading_of(mark)) is None else nose for mark in request.stops]
-    steps = np.array([np.subtract(end, start)[:2] for start, end in legs_between(request.stops)])
+    steps = _steps(request)
     lengths = np.linalg.norm(steps, axis=1)
     steps[lengths < 1e-6] = np.nan
     pairs = np.array(list(pairwise(noses)))
@@ -250,10 +250,15 @@ def along_legs(request: Request) -> Array:
 
 def doubles_back(request: Request) -> bool:
     """Whether a leg leads back along the one before it, by less than a right angle between them."""
-    steps = np.array([np.subtract(end, start)[:2] for start, end in legs_between(request.stops)])
+    steps = _steps(request)
     steps = steps[np.linalg.norm(steps, axis=1) > 1e-6]
     following = np.roll(steps, -1, axis=0) if request.loop else steps[1:]
     return bool(((steps[: len(following)] * following).sum(axis=1) < 0).any())
+
+
+def _steps(request: Request) -> Array:
+    """The horizontal vectors (legs, 2) m from each mark to the next."""
+    return np.array([np.subtract(end, start)[:2] for start, end in legs_between(request.stops)])
 
 
 def reversing(request: Request) -> Array | None:

@@ -28,12 +28,12 @@ def usual_scales(vehicle: Vehicle) -> dict[str, float]:
     force = project(vehicle, r, *vehicle.force(pose, r, u, xi, c, ca.SX.zeros(3)))
     law = ca.Function("push", [r, z, c], [*map(ca.densify, (inertia, ca.jacobian(force, c), ca.jacobian(xi, z)))])
     found = [np.asarray(part, float).reshape(part.shape) for part in law(np.zeros(s), np.zeros(n), np.zeros(size))]
-    if not n or not all(np.isfinite(part).all() for part in found):
-        return {}
     weight, pushes, twist = found
+    if not n or not all(np.isfinite(part).all() for part in found) or np.linalg.matrix_rank(weight) < n:
+        return {}  # joints at zero are no place to measure at
     turning = {6: 3, 3: 1}.get(vehicle.group.dim, vehicle.group.dim)
     moves = twist[turning:] if len(twist) > turning else twist
-    mobility = float(np.linalg.eigvalsh(moves @ np.linalg.solve(weight, moves.T)).max())
+    mobility = float(np.linalg.eigvalsh(moves @ np.linalg.solve(weight, moves.T)).max(initial=0.0))
     strength = np.sqrt(np.einsum("ic,ic->c", pushes, np.linalg.solve(weight, pushes)))
     if not mobility > 0:
         return {}
