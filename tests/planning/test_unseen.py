@@ -17,7 +17,7 @@ from vehsim.planning.guesses.routes import shunting, straight
 from vehsim.planning.refine import execution_tolerance
 from vehsim.planning.request.marks import heading_of
 from vehsim.planning.request.request import make_request
-from vehsim.world.obstacles.obstacles import box, footprint
+from vehsim.world.obstacles.obstacles import box, footprint, moving
 from vehsim.world.obstacles.plane import placed
 
 REST = (0.0, 0.0, 0.0)
@@ -251,3 +251,18 @@ def test_a_car_shuttles_between_two_marks(heading):
     ]
     plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, fps=24, loop=True)
     assert plan.success and plan.message == "solved"
+
+
+def test_a_truck_crosses_the_way_of_another():
+    """Both choose their frames. The guess was twice as fast as a truck, so it passed where the other would not be."""
+    truck = vehsim.load_vehicle("truck")
+
+    def ends(first, last, heading):
+        places = ((1001, first), ("free", last))
+        return [Mark(frame, position=place, heading=heading, velocity=REST) for frame, place in places]
+
+    other = vehsim.plan(truck, None, ends((0, 0, 0), (80, 0, 0), 0)).clip
+    world = vehsim.World(obstacles=[moving("other", other)])
+    plan = vehsim.plan(truck, world, ends((40, -40, 0), (40, 50, 0), 90))
+    assert plan.success and plan.character == "normal", plan.message
+    assert plan.clearance > 0.99

@@ -120,7 +120,7 @@ def from_other_guesses(
     for wariness, (stretch, bend) in enumerate(RETRIES, 1):
         if iterate.success or iterate.why or run.deadline.late:
             return iterate
-        others = InitialGuess(_other_paths(iterate, guess, wariness, bend))
+        others = InitialGuess(_other_paths(iterate, guess, wariness, stretch, bend))
         iterate = solve(run, _again(run, iterate, others, stretch=stretch))
     if iterate.success or iterate.why or brief or run.deadline.late:
         return iterate
@@ -149,7 +149,7 @@ def _again(run: Run, iterate: Iterate, guess: InitialGuess, stretch: float = 1.0
     return begin(run, request, transcription, iterate.cover, guess.paths, guess.clip, stretch=stretch, blocks=blocks)
 
 
-def _other_paths(iterate: Iterate, guess: InitialGuess, wariness: int, bend: float) -> Sequence[Array]:
+def _other_paths(iterate: Iterate, guess: InitialGuess, wariness: int, stretch: float, bend: float) -> Sequence[Array]:
     """Paths bent sideways, or near obstacles paths with a wider berth; given paths are not changed there."""
     request, obstacles = iterate.request, iterate.block(ObstacleClearance)
     if obstacles is None:
@@ -157,4 +157,4 @@ def _other_paths(iterate: Iterate, guess: InitialGuess, wariness: int, bend: flo
     if guess.given:
         return guess.paths
     kept = [request.stops[i] for i in placed_marks(request.stops)]
-    return divided(drive(replace(request, marks=kept), obstacles.parts, wariness), request.stops)
+    return divided(drive(replace(request, marks=kept), obstacles.parts, wariness, stretch), request.stops)

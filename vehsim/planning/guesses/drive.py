@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vehsim.errors import SolveError
 from vehsim.planning.constraints.timing import fixed_durations
 from vehsim.planning.guesses import astar
+from vehsim.planning.guesses.pace import cruise
 from vehsim.planning.guesses.pacing import STEPS, paced, smoothest, stations
 from vehsim.planning.outlines import clearances
 from vehsim.planning.request.legs import legs_between, path_length
@@ -26,20 +27,18 @@ Parts = Sequence[tuple[Any, int]]
 
 DODGES = 4
 """Maximum number of searches for a path that avoids moving obstacles."""
-BRISK = 5.0
-"""Guessed speed on a leg between free marks, m/s."""
 EACH = 3
 """Distances from moving obstacles are measured at each so many cells of a path."""
 STILL = 1e-3
 """Length below which a path needs no pace, m."""
 
 
-def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
+def drive(request: Request, parts: Parts, wariness: int = 0, stretch: float = 1.0) -> list[Array]:
     """A path for every leg between two marks, by A*: (k, 4) x, y, z m and heading rad.
 
     Among moving obstacles (k, 5), with the share of the leg's duration. If the vehicle would meet one, paths around the
     places where they met are searched too. Of these paths, that with the smoothest motion through free places and times
-    is chosen. A larger ``wariness`` keeps more distance.
+    is chosen. A larger ``wariness`` keeps more distance; ``stretch``: factor on the duration of free legs.
     """
     nose = [heading_of(mark) for mark in request.marks]
     seconds = float(int(request.marks[0].frame) / request.fps)
@@ -47,6 +46,7 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
     moving = [(o, k) for o, k in parts if o.moves and not o.is_static]
     paths = []
     for j, leg in enumerate(legs_between(request.marks)):
+        marks = request.marks[j], request.marks[j + 1]
         met: list[Any] = []
         found: list[tuple[float, Array]] = []
         for _ in range(DODGES):
@@ -55,14 +55,14 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
                 path = astar.guess_drive(request.vehicle, parts, ends, noses, request.clearance, wariness, met)
             except SolveError as error:
                 if not found:
-                    key = f"{request.marks[j + 1].name}.position"
+                    key = f"{marks[1].name}.position"
                     raise SolveError.of(*(replace(problem, key=key) for problem in error.problems)) from None
                 break  # the places where they met close every way
-            duration = path_length(path) / BRISK if np.isnan(fixed[j]) else fixed[j]
+            duration = stretch * cruise(request, marks, path) if np.isnan(fixed[j]) else fixed[j]
             if not moving or path_length(path) < STILL or duration <= 0:
                 found.append((0.0, path))
                 break
-            rests = (request.marks[j].at_rest, request.marks[j + 1].at_rest)
+            rests = marks[0].at_rest, marks[1].at_rest
             found.append(_paced(request, moving, path, seconds, duration, rests))
             new = _met(request, moving, path, seconds, duration)
             if not new:
@@ -70,7 +70,7 @@ def drive(request: Request, parts: Parts, wariness: int = 0) -> list[Array]:
             met += new
         path = min(found, key=lambda one: one[0])[1]
         paths.append(path)
-        seconds += path_length(path) / BRISK if np.isnan(fixed[j]) else fixed[j]
+        seconds += stretch * cruise(request, marks, path) if np.isnan(fixed[j]) else fixed[j]
     return paths
 
 

@@ -13,6 +13,7 @@ from vehsim.planning.explain.bounds import strength
 from vehsim.planning.guesses.astar import turning_radius
 from vehsim.planning.guesses.pacing import changes_of_gear
 from vehsim.planning.request.legs import path_length
+from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request
 from vehsim.vehicles import Vehicle
 
@@ -28,19 +29,23 @@ line."""
 
 
 def cruising(request: Request, paths: Sequence[Array]) -> Array:
-    """Durations (m,) of legs along ``paths`` at moderate acceleration, with time to start and to stop, s.
+    """Durations (m,) of legs along ``paths`` at moderate acceleration, with time to start and to stop, s."""
+    legs = zip(pairwise(request.marks), paths, strict=True)
+    return np.array([cruise(request, ends, path) for ends, path in legs])
 
-    A change of direction is a stop and a start.
 
-    A motion from rest to rest over ``d`` m in ``t`` s needs ``6 d / t^2`` m/s^2: half the vehicle's strength on long
-    legs.
+def cruise(request: Request, ends: tuple[Mark, Mark], path: Array) -> float:
+    """The same of one leg between two marks.
+
+    A change of direction is a stop and a start. A motion from rest to rest over ``d`` m in ``t`` s needs ``6 d / t^2``
+    m/s^2: half the vehicle's strength on long legs, and no more than its character or the user allows.
     """
-    marks, lengths = request.marks, np.array([path_length(path) for path in paths])
-    rests = np.array([a.at_rest + b.at_rest for a, b in pairwise(marks)])
-    rests += [2 * changes_of_gear(path)[-1] for path in paths]
-    push = strength(request.vehicle)
-    speeds = np.sqrt(lengths * push / 12) if math.isfinite(push) else np.zeros(len(paths))
-    return lengths / np.minimum(np.maximum(speeds, CRUISE), SHARE * request.top_speed) + STARTING * rests + EACH
+    length, push = path_length(path), strength(request.vehicle)
+    rests = sum(mark.at_rest for mark in ends) + 2 * int(changes_of_gear(path)[-1])
+    speed = max(math.sqrt(length * push / 12) if math.isfinite(push) else 0.0, CRUISE)
+    briskly = length / min(speed, SHARE * request.top_speed) + STARTING * rests + EACH
+    most = request.traits.without(request.limits).get("acceleration", request.limits.get("acceleration"))
+    return max(briskly, math.sqrt(3 * rests * length / most))
 
 
 def fewest_segments(vehicle: Vehicle, length: float) -> int:
