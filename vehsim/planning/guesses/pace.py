@@ -31,19 +31,22 @@ line."""
 def cruising(request: Request, paths: Sequence[Array]) -> Array:
     """Durations (m,) of legs along ``paths`` at moderate acceleration, with time to start and to stop, s."""
     legs = zip(pairwise(request.marks), paths, strict=True)
-    return np.array([cruise(request, ends, path) for ends, path in legs])
+    return np.array([cruise(request, ends, path, path.shape[1] == 5) for ends, path in legs])
 
 
-def cruise(request: Request, ends: tuple[Mark, Mark], path: Array) -> float:
-    """The same of one leg between two marks.
+def cruise(request: Request, ends: tuple[Mark, Mark], path: Array, gently: bool = True) -> float:
+    """The same of one leg between two marks; ``gently``: at no more acceleration than its character or the user allows,
+    so that it is among moving obstacles when it will be.
 
     A change of direction is a stop and a start. A motion from rest to rest over ``d`` m in ``t`` s needs ``6 d / t^2``
-    m/s^2: half the vehicle's strength on long legs, and no more than its character or the user allows.
+    m/s^2: half the vehicle's strength on long legs.
     """
     length, push = path_length(path), strength(request.vehicle)
     rests = sum(mark.at_rest for mark in ends) + 2 * int(changes_of_gear(path)[-1])
     speed = max(math.sqrt(length * push / 12) if math.isfinite(push) else 0.0, CRUISE)
     briskly = length / min(speed, SHARE * request.top_speed) + STARTING * rests + EACH
+    if not gently:
+        return briskly
     most = request.traits.without(request.limits).get("acceleration", request.limits.get("acceleration"))
     return max(briskly, math.sqrt(3 * rests * length / most))
 
