@@ -388,5 +388,5 @@ def test_a_scale_that_a_file_lacks_follows_from_the_mass(tmp_path: Path, more: s
     text = 'schema = 1\nname = "sleigh"\nmodel = "chaplygin_sleigh"\n[physics]\n'
     text += "mass = 1500.0\nyaw_inertia = 600.0\nahead = 0.0\n"
     (tmp_path / "vehicle.toml").write_text(text + more)
-    scales = [control.scale for control in load_vehicle(tmp_path).controls]
+    scales = [control.scale for control in load_vehicle(tmp_path / "vehicle.toml").controls]
     assert scales == pytest.approx([thrust, math.sqrt(1500.0 * 600.0)], rel=0.01)

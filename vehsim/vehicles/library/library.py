@@ -85,7 +85,7 @@ def available() -> list[str]:
 
 
 def load_vehicle(name: str | Path, parameters: Mapping[str, Any] | None = None) -> Vehicle:
-    """A shipped vehicle by name, or the vehicle in a folder with a ``vehicle.toml``.
+    """A shipped vehicle by name, or the vehicle in a folder with a ``vehicle.toml``, or of that file.
 
     ``parameters`` replace numbers of the file: those of ``[physics]`` by their names, such as ``{"mass": 1500.0}``, and
     tables ``controls``, ``actuators``, ``joints``, ``character`` and ``suspension``, ``top_speed`` and
@@ -135,7 +135,8 @@ def _file(name: str | Path) -> Path:
     """The ``vehicle.toml`` of a vehicle."""
     if not isinstance(name, str | Path):
         raise InputError("not a vehicle's name", "give a name or the path of a folder", key="vehicle", value=name)
-    path = Path(name) / "vehicle.toml"
+    path = Path(name)
+    path = path if path.name == "vehicle.toml" else path / "vehicle.toml"
     if not path.is_file():
         path = description("vehicle", str(name)) or path
     if not path.is_file():
