@@ -36,19 +36,14 @@ from vehsim.planning.fallbacks import (
     unposed,
     with_fewer_requirements,
 )
-from vehsim.planning.guesses.astar import turning_radius
 from vehsim.planning.guesses.routes import (
-    AWAY,
     InitialGuess,
-    along_legs,
     as_clip,
-    backwards,
-    doubles_back,
     initial_guess,
     reversing,
     roundabout,
-    shunting,
     straight,
+    turnings,
 )
 from vehsim.planning.iterate import Iterate, Run
 from vehsim.planning.problem import interrupts
@@ -58,7 +53,7 @@ from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
-from vehsim.planning.request.legs import facing, path_length, same_choices, turned_round
+from vehsim.planning.request.legs import facing, same_choices, turned_round
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened, with_trailers_straight
 from vehsim.planning.request.request import Request, all_marks, make_request
@@ -104,8 +99,6 @@ WORSE = 3.0
 as little as possible."""
 FOLDED = math.radians(30)
 """Largest angle at which a trailer comes to rest, unless a mark gives it or no other motion is found."""
-REVERSED = 16.0
-"""Longest way that a driver reverses rather than turning round, in turning radii: our choice."""
 QUICK = Patience(60, near=1e-2)
 """That of a solve in a character, after which it is compared with a stunt."""
 PRESSED = 1.2, 3.0
@@ -386,13 +379,14 @@ def _in_one_character(request: Request, progress: Progress | None, guess: Any, e
     if request.segments < enough:
         made = _in_one_character(replace(request, segments=enough), progress, guess, early)
         return _remarked(made, f"; with {enough} segments, because {request.segments} are too few")
-    made, limited = _unfolded(_attempt(request, progress, guess, early=early), request, progress, guess), ""
+    made, limited = _attempt(request, progress, guess, early=early), ""
     while made._iterate is not None and made._iterate.success and (tops := _exceeded(made, request)):
         request = replace(request, limits=request.limits.within(tops))
         made = _attempt(request, progress, guess)
         for name, top in tops.items():
             own = TOPS[name].format(vehicle=request.vehicle.name, top=top, degrees=math.degrees(top))
             limited += f"; limited to {own}: to change this, give velocities or limits.{name}"
+    made = _unfolded(made, request, progress, guess)
     segments = request.segments
     while _misled(made) and segments < MOST:
         segments = min(FINER * segments, MOST)
@@ -604,20 +598,14 @@ def _by_its_surface(run: Run, iterate: Iterate, request: Request) -> Iterate:
 
 
 def _turning(run: Run, request: Request, transcription: Transcription, guess: InitialGuess) -> InitialGuess:
-    """The guess or, for a vehicle whose nose points away from its way or whose way doubles back, that from which the
-    coarse motion costs least: also along arcs and lines that it can drive, forwards and backwards, and straight back if
-    no nose points ahead and it is not far. If time is limited, these are not solved, and the arcs and lines are taken.
-    """
-    along = along_legs(request)
-    if guess.given or run.deadline.late or not ((along < AWAY).any() or doubles_back(request)):
-        return guess
-    if not (driven := shunting(request, guess.paths)):
+    """The guess, or that of other `turnings` from which the coarse motion costs least. If time is limited, none is
+    solved, and the first of the others is taken."""
+    others = [] if guess.given or run.deadline.late else turnings(request, guess.paths)
+    if not others:
         return guess
     if math.isfinite(run.deadline.end):
-        return InitialGuess(driven)
-    back = straight(request)
-    short = sum(map(path_length, back)) <= REVERSED * turning_radius(request.vehicle) and (along < AWAY).all()
-    guesses = [InitialGuess(driven), *([InitialGuess(backwards(request, back))] if short else []), guess]
+        return InitialGuess(others[0])
+    guesses = [*map(InitialGuess, others), guess]
     coarse = [solve(run, begin(run, request, transcription, None, each.paths), QUICK) for each in guesses]
     return guesses[int(np.argmin([each.cost for each in coarse]))]
 

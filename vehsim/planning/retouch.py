@@ -213,11 +213,11 @@ def _slower(vehicle: Vehicle) -> float:
 
 def _trailing(clip: Clip, edit: _Edit) -> float:
     """The time, s, after which trailers follow the solved motion again after an edit; zero without trailers."""
-    reach = max((part.reach for part in articulated_footprint(clip.vehicle)), default=0.0)
     if not clip.vehicle.tied or not edit.touched.any():
         return 0.0
-    moving = np.linalg.norm(clip.at(_times(clip, edit.frames[edit.touched])).twists, axis=1)
-    return float(min(FOLLOWS * reach / max(moving.mean(), SAME), clip.duration))
+    reach = max((part.reach for part in articulated_footprint(clip.vehicle)), default=0.0)
+    speeds = np.linalg.norm(clip.at(_times(clip, edit.frames[edit.touched])).twists[:, 1:], axis=1)
+    return float(min(FOLLOWS * reach / max(speeds.mean(), SAME), clip.duration))
 
 
 def check_pushed(vehicle: Vehicle) -> None:

@@ -42,6 +42,8 @@ RUN_UP = 0.5
 
 AWAY = -1e-6
 """Cosine of the angle between a leg and a nose below which the nose points away."""
+REVERSED = 16.0
+"""Longest way that a driver reverses rather than turning round, in turning radii: our choice."""
 CURVE_POINTS, GENTLE = 33, math.radians(25.0)
 """Points of a curve from mark to mark; its largest angle with the straight line at its ends, rad: from sharper curves,
 a car on tyres was solved less often than from straight lines."""
@@ -237,7 +239,19 @@ def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
     return poses
 
 
-def along_legs(request: Request) -> Array:
+def turnings(request: Request, paths: Sequence[Array]) -> list[list[Array]]:
+    """Other paths for a vehicle with a turning circle whose nose points away from its way, or whose way doubles back:
+    arcs and lines that it can drive, forwards and backwards, and straight back if no nose points ahead and it is not
+    far. Else none."""
+    along = _along_legs(request)
+    if not ((along < AWAY).any() or _doubles_back(request)) or not (driven := shunting(request, paths)):
+        return []
+    back = straight(request)
+    short = sum(map(path_length, back)) <= REVERSED * turning_radius(request.vehicle)
+    return [driven, backwards(request, back)] if short and (along < AWAY).all() else [driven]
+
+
+def _along_legs(request: Request) -> Array:
     """The cosines (legs, 2) of the angles between each leg and the noses at its marks; nan where a heading is free or
     the leg has no length."""
     noses = [np.nan if (nose := heading_of(mark)) is None else nose for mark in request.stops]
@@ -248,7 +262,7 @@ def along_legs(request: Request) -> Array:
     return np.asarray((steps[:, :1] * np.cos(pairs) + steps[:, 1:] * np.sin(pairs)) / lengths[:, None])
 
 
-def doubles_back(request: Request) -> bool:
+def _doubles_back(request: Request) -> bool:
     """Whether a leg leads back along the one before it, by less than a right angle between them."""
     steps = _steps(request)
     steps = steps[np.linalg.norm(steps, axis=1) > 1e-6]
@@ -263,7 +277,7 @@ def _steps(request: Request) -> Array:
 
 def reversing(request: Request) -> Array | None:
     """Poses (k, 4) of a vehicle that reverses straight from mark to mark; None if no nose points away."""
-    away = bool((along_legs(request) < AWAY).any()) and not request.loop
+    away = bool((_along_legs(request) < AWAY).any()) and not request.loop
     poses = backwards(request, straight(request)) if away else []
     return np.vstack(poses) if poses else None
 
