@@ -266,3 +266,18 @@ def test_a_truck_crosses_the_way_of_another():
     plan = vehsim.plan(truck, world, ends((40, -40, 0), (40, 50, 0), 90))
     assert plan.success and plan.character == "normal", plan.message
     assert plan.clearance > 0.99
+
+
+def test_a_truck_holds_on_its_way_with_its_trailer_straight():
+    """It reversed to its hold, and stood there folded by 63 degrees."""
+    truck = vehsim.load_vehicle("truck")
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark(1481, position=(-25, 2, 0), velocity=REST, hold=48),
+        Mark(2001, position=(20, 0, 0), heading=0, velocity=REST),
+    ]
+    plan = vehsim.plan(truck, None, marks, fps=24)
+    assert plan.success and plan.character == "normal", plan.message
+    held = plan.clip.at(np.arange(480, 529) / 24)
+    assert np.abs(held.joints[:, truck.joints.index("hitch_1")]).max() < 1e-3
+    assert np.ptp(held.positions, axis=0).max() < 1e-6

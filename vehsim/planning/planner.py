@@ -407,16 +407,24 @@ def _in_one_character(request: Request, progress: Progress | None, guess: Any, e
 
 
 def _unfolded(made: Plan, request: Request, progress: Progress | None, guess: Any) -> Plan:
-    """A plan at whose last mark trailers rest folded, planned again with them straight there; unchanged if the mark
-    gives joints, or if no such motion is found."""
-    vehicle, last = request.vehicle, request.marks[-1]
-    assert made._run is not None
-    free = vehicle.tied and last.at_rest and last.joints is None and not request.loop
-    if not (free and made.success) or made._run.deadline.late:
+    """A plan in which trailers rest folded at marks, planned again with them straight there; unchanged if the marks
+    give joints, or if no such motion is found."""
+    vehicle = request.vehicle
+    assert made._run is not None and made._iterate is not None
+    if not (vehicle.tied and made.success) or request.loop or made._run.deadline.late:
         return made
-    if np.abs(made.clip.joints[-1, list(vehicle.tied)]).max() < FOLDED:
+    seconds = (np.array(made._iterate.mark_frames(), float) - made.clip.start_frame) / float(request.fps)
+    turned = np.abs(made.clip.at(np.minimum(seconds, made.clip.times[-1])).joints[:, list(vehicle.tied)]).max(axis=1)
+    folded = [
+        mark.at_rest and mark.joints is None and angle >= FOLDED
+        for mark, angle in zip(request.marks, turned, strict=True)
+    ]
+    if not any(folded):
         return made
-    marks = [*request.marks[:-1], with_trailers_straight(vehicle, last)]
+    marks = [
+        with_trailers_straight(vehicle, mark) if each else mark
+        for mark, each in zip(request.marks, folded, strict=True)
+    ]
     again = _attempt(replace(request, marks=marks), progress, guess, once=True)
     return again if again.success and not _too_hard(again) else made
 
