@@ -253,8 +253,10 @@ def test_a_car_shuttles_between_two_marks(heading):
     assert plan.success and plan.message == "solved"
 
 
-def test_a_truck_crosses_the_way_of_another():
-    """Both choose their frames. The guess was twice as fast as a truck, so it passed where the other would not be."""
+@pytest.mark.parametrize("behind", [40, 45, 50])
+def test_a_truck_crosses_the_way_of_another(behind):
+    """Both choose their frames. The guess was twice as fast as a truck, so it passed where the other would not be; from
+    45 m and more, its frame changed while it was solved, and so did the other's place."""
     truck = vehsim.load_vehicle("truck")
 
     def ends(first, last, heading):
@@ -263,7 +265,7 @@ def test_a_truck_crosses_the_way_of_another():
 
     other = vehsim.plan(truck, None, ends((0, 0, 0), (80, 0, 0), 0)).clip
     world = vehsim.World(obstacles=[moving("other", other)])
-    plan = vehsim.plan(truck, world, ends((40, -40, 0), (40, 50, 0), 90))
+    plan = vehsim.plan(truck, world, ends((40, -behind, 0), (40, 50, 0), 90))
     assert plan.success and plan.character == "normal", plan.message
     assert plan.clearance > 0.99
 

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from vehsim.planning.constraints.clearance import Clearance
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
+from vehsim.planning.constraints.timing import whole_frames
 from vehsim.planning.explain.elastic import diagnose, too_early
 from vehsim.planning.guesses.drive import drive
 from vehsim.planning.guesses.pace import fewest_segments
 from vehsim.planning.guesses.routes import InitialGuess, around, backwards, shunting
 from vehsim.planning.iterate import Iterate, Run
+from vehsim.planning.problem.solver import Patience
+from vehsim.planning.refine import on_frames
 from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import bent, divided, legs_between, path_length, placed_marks
 from vehsim.planning.request.request import MOST_SEGMENTS, Request
@@ -27,6 +30,9 @@ RETRIES = ((1.7, 0.0), (0.6, 0.08), (1.2, -0.15))
 sideways, relative to its length."""
 MEASURED = 4
 """Maximum number of times that the distances of the vehicle's surface are measured before a motion is found."""
+WAITS, GLANCE = (1.0, 1.3, 1.7), Patience(60, early=0.5)
+"""Factors on the durations of free legs of a motion that meets moving obstacles at other times than its guess, and how
+long each of these is solved."""
 FEWEST, LEAST = 4, 16
 """Below `FEWEST` segments, a leg has fewer controls than two marks at rest need; a plan that fails on so few per leg is
 tried on `LEAST` per leg."""
@@ -61,6 +67,30 @@ def by_surface(iterate: Iterate) -> Iterate:
     """The iterate with the surface of the vehicle, measured along it, instead of the spheres around it."""
     blocks = tuple(b.of_surface(iterate) if isinstance(b, Clearance) else b for b in iterate.blocks)
     return replace(iterate, blocks=blocks, multipliers=None)
+
+
+def at_their_times(run: Run, timed: Iterate) -> Iterate:
+    """A motion with free legs among moving obstacles, solved with its free marks on whole frames; unchanged if that
+    fails or nothing moves.
+
+    While legs are free, moving obstacles stand where they are at the times of the initial guess. If the durations
+    change much, the motion meets them at other times: then it is paced anew, with more time if necessary.
+    """
+    obstacles, request, timing = timed.block(ObstacleClearance), timed.request, timed.timing
+    free = timed.success and timing.open and np.any(timing.free)
+    if not free or obstacles is None or not any(obstacle.moves for obstacle, _ in obstacles.parts):
+        return timed
+    settled = solve(run, on_frames(timed), GLANCE)
+    for wait in WAITS:
+        if settled.success or run.deadline.late:
+            break
+        durations = whole_frames(wait * timed.lengths * np.array(timed.layout.legs), request.marks, request.fps)
+        frames = int(request.marks[0].frame) + np.rint(np.cumsum(durations) * float(request.fps)).astype(int)
+        marks = [replace(mark, frame=int(frame)) for mark, frame in zip(request.marks[1:], frames, strict=True)]
+        given = replace(request, marks=[request.marks[0], *marks])
+        guess = begin(run, given, timed.transcription, timed.cover, _driven(given, obstacles))
+        settled = solve(run, replace(guess, request=request).with_timing(timing.settled()), GLANCE)
+    return settled if settled.success else timed
 
 
 def with_fewer_requirements(run: Run, iterate: Iterate, request: Request, guess: InitialGuess) -> tuple[Run, Iterate]:
@@ -156,5 +186,10 @@ def _other_paths(iterate: Iterate, guess: InitialGuess, wariness: int, stretch: 
         return [bent(path, bend) for path in guess.paths]
     if guess.given:
         return guess.paths
+    return _driven(request, obstacles, wariness, stretch)
+
+
+def _driven(request: Request, obstacles: ObstacleClearance, wariness: int = 0, stretch: float = 1.0) -> list[Array]:
+    """A path among obstacles for every leg, as `drive` finds them between marks with positions."""
     kept = [request.stops[i] for i in placed_marks(request.stops)]
     return divided(drive(replace(request, marks=kept), obstacles.parts, wariness, stretch), request.stops)

@@ -29,6 +29,7 @@ from vehsim.planning.explain.depth import below_level
 from vehsim.planning.explain.feasibility import refusals
 from vehsim.planning.explain.looks import fastest_look
 from vehsim.planning.fallbacks import (
+    at_their_times,
     by_surface,
     enough_segments,
     from_other_guesses,
@@ -668,7 +669,7 @@ def _in_traits(run: Run, iterate: Iterate, request: Request) -> Iterate:
     within = restrained(iterate)
     if within is not iterate and not (within.success and _strain(within, within.request) < CALM):
         within = restrain(run, iterate)
-    return settle_on_frames(run, within)
+    return settle_on_frames(run, at_their_times(run, within))
 
 
 def _presses(iterate: Iterate) -> bool:

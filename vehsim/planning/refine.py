@@ -50,10 +50,11 @@ def largest_error(request: Request) -> float:
 
 def settle_on_frames(run: Run, iterate: Iterate) -> Iterate:
     """The iterate solved with free marks on whole frames; their timing is fixed from then on."""
-    return resolve(run, _on_frames(iterate), iterate) if np.any(iterate.timing.free) else iterate
+    open_ = iterate.timing.open and np.any(iterate.timing.free)
+    return resolve(run, on_frames(iterate), iterate) if open_ else iterate
 
 
-def _on_frames(iterate: Iterate, early: float = EARLY) -> Iterate:
+def on_frames(iterate: Iterate, early: float = EARLY) -> Iterate:
     """The same motion with free marks on whole frames, at most ``early`` of a frame too early."""
     x = iterate.stretched(iterate.timing.on_frames(iterate, early))
     return replace(iterate, x=x, stale=True).with_timing(iterate.timing.settled())
@@ -98,7 +99,7 @@ def resolve(run: Run, iterate: Iterate, before: Iterate | None = None) -> Iterat
         return solved
     again = replace(before, blocks=solved.blocks, tightenings=solved.tightenings)
     later = solve(run, again.with_timing(iterate.timing.opened()))
-    return solve(run, _on_frames(later, early=0.0)) if later.success else later
+    return solve(run, on_frames(later, early=0.0)) if later.success else later
 
 
 def ends_elsewhere(iterate: Iterate) -> bool:
