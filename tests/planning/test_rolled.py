@@ -108,6 +108,22 @@ def test_cars_on_tyres_come_to_rest_on_slopes(slope):
     assert speeds[[0, -1]].max() < 1e-6
 
 
+@pytest.mark.parametrize("stops", [{}, {"velocity": REST, "hold": 48}])
+def test_it_drives_a_loop(stops):
+    """The motion without slip was moved off the loop's last mark, which has no place of its own: it took 36 s, or ended
+    as a stunt."""
+    marks = [
+        Mark(1, position=(0, 0, 0)),
+        Mark(200, position=(25, 15, 0)),
+        Mark(400, position=(0, 30, 0), **stops),
+        Mark(700 if stops else 600),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle("drift_car"), None, marks, loop=True)
+    assert plan.success and plan.character == "normal"
+    assert plan.iterations < 150
+    assert np.allclose(plan.clip.positions[0], plan.clip.positions[-1], atol=1e-6)
+
+
 def test_it_holds_across_a_slope_on_its_way():
     """The hold was refused; with slips on 64 segments, the motion costs half as much again as without slip."""
     first, last = drive(45, 3, 0, 16.6)

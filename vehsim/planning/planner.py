@@ -200,7 +200,7 @@ class Plan:
         fresh = replace(request, given=())
         if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
             return _solve(fresh, progress, self.clip)
-        if turned_round(given, request.marks):
+        if turned_round(replace(before, marks=list(given)).stops, request.stops):
             return _solve(fresh, progress, None)
         faced = replace(request, given=request.marks, marks=same_choices(request.marks, given, before.marks))
         run = Run(faced, progress, self._run.solvers)

@@ -74,7 +74,7 @@ def begin(
         if clip is None:
             free = stretch * cruising(request, paths)
         else:
-            free = np.maximum(-np.subtract(*clip_spans(clip, marks)), 0.1)
+            free = np.maximum(-np.subtract(*clip_spans(clip, request.stops)), 0.1)
         durations = np.where(np.isnan(fixed), free, fixed)
         share_known_spans(durations, marks, request.fps)
     held = np.array([mark.hold > 0 for mark in marks[:-1]])
@@ -84,10 +84,11 @@ def begin(
     layout = Layout(transcription.sizes, split_segments(segments, durations, held))
     lengths = durations / np.array(layout.legs)
     if clip is None:
-        aims = request.aims(layout.mark_knots)
-        x = along_paths(transcription, layout, marks, paths, lengths, request.wind, aims)
+        aims, end = request.aims(layout.mark_knots), request.stops[-1]
+        paced = [*marks[:-1], replace(marks[-1], velocity=end.velocity, speed=end.speed)]  # a loop ends as it begins
+        x = along_paths(transcription, layout, paced, paths, lengths, request.wind, aims)
     else:
-        x = along_clip(transcription, layout, marks, clip, lengths)
+        x = along_clip(transcription, layout, request.stops, clip, lengths)
     guess = Trajectory(request, transcription, layout, x)
     active = tuple(block.activate(guess) for block in blocks)
     iterate = Iterate(request, transcription, layout, x, active, paths)
