@@ -1,19 +1,21 @@
-"""Shade below vehicles: how much of the sky they hide from the ground under wheels, skids and hulls.
+"""Contact shade: how much of the sky vehicles and obstacles hide from the ground under and beside them.
 
-MuJoCo's renderer has one shadow, that of the sun. Under a low sun or an overcast sky, a vehicle that touches the ground
-within a millimetre then looks afloat. A `Shade` is computed once per vehicle, from its shape: an ambient occlusion
-field, the share of the sky that is hidden at each point of a grid around its lower part. `StageRenderer` looks pixels
-up in it.
+MuJoCo's renderer has one shadow, that of the sun. Under a low sun or an overcast sky, what touches the ground within a
+millimetre then looks afloat. A `Shade` is computed once per vehicle and per obstacle, from its shape: an ambient
+occlusion field, the share of the sky that is hidden at each point of a grid around its lower part. `StageRenderer`
+looks pixels up in it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.exporters.pictures.grain import OBSTACLES
 from vehsim.exporters.usd.stage import Shape, StageReader
 
 Array = NDArray[np.float64]
@@ -24,6 +26,11 @@ CELLS = 56
 """Cells along a vehicle's longest side."""
 MARGIN = 0.5
 """How far the grid extends around and below a vehicle, as a share of its longest horizontal side."""
+FINER, LAYERS = 300, 3
+"""Most cells along an obstacle's longest side, and cells of its height if these suffice: a kerb is long and low."""
+TALL = 1.5
+"""How far up an obstacle hides the sky, and around it, relative to its height and its longest side: little is hidden by
+what is higher or farther."""
 INSTANTS = 17
 """Number of frames at which it is found which parts of a vehicle move sideways."""
 RINGS, SPOKES = 4, 12
@@ -39,7 +46,8 @@ STRENGTH = 0.85
 class Shade:
     """The share of the sky (x, y, z) that a vehicle hides at the points of a grid, in the frame of its root.
 
-    ``lower`` (3,) m: the first point; ``cell`` m; ``heights`` (2,) m: where shade starts to fade, and ends.
+    ``lower`` (3,) m: the first point; ``cell`` m; ``heights`` (2,) m: where shade starts to fade, and ends; infinite:
+    nowhere.
     """
 
     hidden: NDArray[np.float32]
@@ -48,20 +56,28 @@ class Shade:
     heights: tuple[float, float]
 
     @classmethod
-    def of(cls, points: Array, faces: NDArray[np.int64]) -> Shade:
-        """The shade of triangles ``faces`` (m, 3) of ``points`` (n, 3) m."""
+    def of(cls, points: Array, faces: NDArray[np.int64], standing: bool = False) -> Shade:
+        """The shade of triangles ``faces`` (m, 3) of ``points`` (n, 3) m; ``standing``: of an obstacle, which may stand
+        on a slope: it shades ground at any height."""
         from scipy.ndimage import gaussian_filter
 
         low, high = points.min(axis=0), points.max(axis=0)
         longest = max(float((high - low)[:2].max()), 1e-3)
         cell = longest / CELLS
         margin = MARGIN * longest
+        heights = tuple(float(low[2] + share * (high - low)[2]) for share in FADES)
+        if standing:
+            tall = float((high - low)[2])
+            cell = min(cell, max(tall / LAYERS, longest / FINER))
+            margin = min(margin, TALL * tall)
+            high[2] = min(high[2], low[2] + TALL * longest)
+            heights = (math.inf, math.inf)
         lower = low - margin
         count = np.ceil((high - low + [2 * margin, 2 * margin, margin]) / cell).astype(int) + 2
         solid = np.zeros(count, bool)
-        solid[tuple(((_dense(points, faces, 0.7 * cell) - lower) / cell).round().astype(int).T)] = True
-        heights = tuple(float(low[2] + share * (high - low)[2]) for share in FADES)
-        layers = int(np.ceil((heights[1] - lower[2]) / cell)) + 2
+        filled = ((_dense(points, faces, 0.7 * cell) - lower) / cell).round().astype(int)
+        solid[tuple(filled[filled[:, 2] < count[2]].T)] = True
+        layers = None if standing else int(np.ceil((heights[1] - lower[2]) / cell)) + 2
         hidden = gaussian_filter(_hidden(solid)[:, :, :layers], (0.8, 0.8, 0.0))
         hidden *= np.multiply.outer(*(_window(n, margin / cell / 2) for n in hidden.shape[:2]))[..., None]
         return cls(hidden, lower, cell, (heights[0], heights[1]))
@@ -77,7 +93,9 @@ class Shade:
         from scipy.ndimage import map_coordinates
 
         start, end = self.heights
-        lost = STRENGTH * np.clip((end - places[..., 2]) / (end - start), 0, 1)
+        lost = np.full(places.shape[:-1], STRENGTH)
+        if start < end:
+            lost *= np.clip((end - places[..., 2]) / (end - start), 0, 1)
         near = lost > 0
         at = (places[near] - self.lower) / self.cell
         lost[near] *= map_coordinates(self.hidden, at.T, order=1, mode="constant")
@@ -86,10 +104,12 @@ class Shade:
 
 class Shades:
     """The shades of a stage's vehicles, by the path of a moving prim: their roots, which no other prim moves, and parts
-    that move sideways below them, such as trailers.
+    that move sideways below them, such as trailers; and those of obstacles that stand still.
 
     A shade is computed when it is first asked for, from all opaque parts below the prim that have no shade of their
     own, as they are at the first frame; equal shapes share it. In empty space there is nothing to shade.
+
+    ``standing``: the pose (4, 4) of each obstacle that stands still.
     """
 
     def __init__(self, stage: StageReader) -> None:
@@ -115,6 +135,16 @@ class Shades:
                 self._parts[above[-1]] = [part for part in self._parts[above[-1]] if id(part[1]) not in own]
             self.bodies.append(group)
             self._roots[group], self._parts[group] = root, parts
+        self.standing: dict[str, Array] = {}
+        for path, shapes in _obstacles(stage).items() if standing else ():
+            points = np.concatenate([shape.points for shape in shapes])
+            T_wr: Array = np.eye(4)
+            T_wr[:3, 3] = (points.min(axis=0) + points.max(axis=0)) / 2
+            self.standing[path], self._parts[path] = (
+                T_wr,
+                [(np.asarray(np.linalg.inv(T_wr)), shape) for shape in shapes],
+            )
+            self.bodies.append(path)
         self._of_shape: dict[bytes, Shade] = {}
         self._shades: dict[str, Shade | None] = {}
 
@@ -136,25 +166,37 @@ class Shades:
 
     def frame(self, body: str, poses: dict[str, Array]) -> Array:
         """Pose (4, 4) of the frame of a shade when prims have these ``poses``: its root's, moved with the body."""
+        if body in self.standing:
+            return self.standing[body]
         first = self._first
         return np.asarray(poses[body] @ np.linalg.inv(first[body]) @ first[self._roots[body]])
 
     def __getitem__(self, body: str) -> Shade | None:
         """The shade of a vehicle or a part; None if nothing of it is opaque."""
         if body not in self._shades:
-            self._shades[body] = self._made(self._parts[body])
+            self._shades[body] = self._made(self._parts[body], body in self.standing)
         return self._shades[body]
 
-    def _made(self, parts: list[Placed]) -> Shade | None:
+    def _made(self, parts: list[Placed], standing: bool) -> Shade | None:
         if not parts:
             return None
         points = _points(parts)
         firsts = np.cumsum([0, *(len(shape.points) for _, shape in parts)])
         faces = np.concatenate([shape.faces + first for first, (_, shape) in zip(firsts, parts, strict=False)])
-        key = hashlib.sha256(np.round(points, 4).tobytes() + faces.tobytes()).digest()
+        key = hashlib.sha256(np.round(points, 4).tobytes() + faces.tobytes() + bytes([standing])).digest()
         if key not in self._of_shape:
-            self._of_shape[key] = Shade.of(points, faces)
+            self._of_shape[key] = Shade.of(points, faces, standing)
         return self._of_shape[key]
+
+
+def _obstacles(stage: StageReader) -> dict[str, list[Shape]]:
+    """The opaque shapes of each obstacle that stands still, by its path."""
+    found: dict[str, list[Shape]] = {}
+    for shape in stage.shapes:
+        before, within, after = shape.name.partition(OBSTACLES)
+        if within and not shape.group and shape.surface.opacity == 1:
+            found.setdefault(before + within + after.split("/")[0], []).append(shape)
+    return found
 
 
 def _points(parts: list[Placed]) -> Array:

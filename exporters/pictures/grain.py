@@ -30,16 +30,23 @@ CONTRAST, STRONGEST = 3.5, 0.14
 FADES = (20.0, 70.0)
 """Distances between which grain fades, m."""
 WIDE = 30.0
-"""Ground is what stands still and is wider than this, m."""
+"""Ground has grain if it is wider than this, m."""
 COARSE = 4
 """The ground's slope is found from every fourth pixel."""
+OBSTACLES = "/env/obstacles/"
+"""In the paths of prims that stand on the ground."""
+
+
+def is_ground(shape: Shape) -> bool:
+    """Whether a shape stands still and is no obstacle."""
+    return not shape.group and OBSTACLES not in shape.name
 
 
 def strengths_of(shapes: Sequence[Shape]) -> list[float]:
     """The strength of the grain of each of a stage's ``shapes``; 0 for what is not textured ground."""
     return [
         _strength(shape.surface.texture)
-        if not shape.group and shape.surface.texture and np.ptp(shape.points[:, :2], axis=0).max() > WIDE
+        if is_ground(shape) and shape.surface.texture and np.ptp(shape.points[:, :2], axis=0).max() > WIDE
         else 0.0
         for shape in shapes
     ]

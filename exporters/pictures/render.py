@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vehsim.exporters.pictures.canvas import CASTING, OPAQUE, TRANSLUCENT, Canvas, Picture
 from vehsim.exporters.pictures.contact_shade import Shades
-from vehsim.exporters.pictures.grain import grained, strengths_of
+from vehsim.exporters.pictures.grain import grained, is_ground, strengths_of
 from vehsim.exporters.pictures.motion_passes import Pixels, drop_flow, drops_seen
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.spray import draw_spray
@@ -25,6 +25,8 @@ from vehsim.exporters.usd.scenery.shading import author_material, author_skybox,
 from vehsim.exporters.usd.stage import Shape, StageReader
 
 Array = NDArray[np.float64]
+Depth = NDArray[np.float32]
+Geoms = NDArray[np.int64]
 
 SHADOW_MAP = 3072
 SHADOW_REACH = (5.0, 115.0)
@@ -42,8 +44,6 @@ LARGEST = 16_000
 """Longest side of an off-screen buffer, px; 16384 is refused."""
 HAZE = (10.0, 760.0)
 """Distances at which haze starts and at which it hides everything, m."""
-OBSTACLES = "/env/obstacles/"
-"""Part of the paths of obstacles in shots."""
 CLEAR = 4.0
 """Haze hides everything no nearer than this many times the usual distance of the cameras from the movers."""
 
@@ -78,6 +78,8 @@ class StageRenderer:
         grain = {f"shape{k}": strength for k, strength in enumerate(strengths_of(stage.shapes))}
         geoms = [self._model.geom(k).name for k in range(self._model.ngeom)]
         self._grain = np.array([*(grain.get(name, 0.0) for name in geoms), 0.0], np.float32)  # the last: no geom
+        ground = {f"shape{k}" for k, shape in enumerate(stage.shapes) if is_ground(shape)}
+        self._ground = np.array([*(name in ground for name in geoms), False])
         self._mocap = {
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
@@ -224,8 +226,11 @@ class StageRenderer:
         side = self._supersample
         depth = depth[side // 2 :: side, side // 2 :: side]
         if self._detailed:
-            picture = self._grainy(picture, depth, camera, frame)
-            picture = self._shaded(picture, depth, camera, frame)
+            samples = self._canvas.draw_ids(self._size)
+            of_geom = samples[side // 2 :: side, side // 2 :: side]
+            ground = self._ground[samples].reshape(len(of_geom), side, -1, side).mean(axis=(1, 3))
+            picture = self._grainy(picture, depth, of_geom, camera, frame)
+            picture = self._shaded(picture, depth, of_geom, ground, camera, frame)
         if self.stage.spray is None or self._water is None:
             return picture
         view, half, shift, clip = self._sight(camera, frame)
@@ -233,7 +238,7 @@ class StageRenderer:
         drops, seconds = self.stage.spray_at(frame), 1 / float(self.stage.fps)
         return draw_spray(picture, distance[::-1], drops, view, half, shift, seconds, self._water.foam_colour)
 
-    def _grainy(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
+    def _grainy(self, picture: Picture, depth: Depth, of_geom: Geoms, camera: str, frame: float) -> Picture:
         """The picture with grain on the ground near the camera."""
         if not self._grain.any():
             return picture
@@ -245,17 +250,19 @@ class StageRenderer:
             (shift[0] + half[0] * x[:, None]) * np.cross(forward, up),
             (shift[1] + half[1] * y[:, None]) * up,
         )
-        strength = self._grain[self._canvas.draw_ids(self.size)]
-        return grained(picture[::-1], strength, distance_of(depth, clip), rays, eye)[::-1]
+        return grained(picture[::-1], self._grain[of_geom], distance_of(depth, clip), rays, eye)[::-1]
 
-    def _shaded(self, picture: Picture, depth: NDArray[np.float32], camera: str, frame: float) -> Picture:
-        """The picture, darker where vehicles hide the sky from the ground, less so in haze."""
+    def _shaded(
+        self, picture: Picture, depth: Depth, of_geom: Geoms, ground: Array, camera: str, frame: float
+    ) -> Picture:
+        """The picture, darker where vehicles and obstacles hide the sky from the ground, less so in haze; ``ground``
+        (h, w): the share of each pixel that shows it."""
         from scipy.ndimage import grey_dilation
 
         picture = picture[::-1].copy()  # bottom row first, as the depth
         strength = np.ones(picture.shape[:2])
         if self._water is not None:
-            strength[self._canvas.draw_ids(self.size) == self._model.geom("water").id] = ON_WATER
+            strength[of_geom == self._model.geom("water").id] = ON_WATER
         poses = self.stage.matrices(frame)
         for body in self._shades.bodies:
             shade, T_wr = self._shades[body], self._shades.frame(body, poses)
@@ -266,7 +273,10 @@ class StageRenderer:
             clear = (self._haze_end - distance) / (self._haze_end - HAZE[0])
             lost = strength[part] * shade.at((places - T_wr[:3, 3]) @ T_wr[:3, :3]) * np.clip(clear, 0, 1)
             lost *= np.clip(2 * T_wr[2, 2] - 1, 0, 1)  # the ground is not below a vehicle that lies on its side
-            lost = np.maximum(lost, grey_dilation(lost, 3) / 2)  # pixels that show ground and vehicle
+            if body in self._shades.standing:
+                lost *= ground[part]
+            else:
+                lost = np.maximum(lost, grey_dilation(lost, 3) / 2)  # pixels that show ground and vehicle
             picture[part] = (picture[part] * (1 - lost[..., None])).round()
         return picture[::-1]
 
@@ -444,7 +454,7 @@ def haze_end(stage: StageReader) -> float:
 
     It ends no nearer than `CLEAR` times the usual distance of the cameras from the movers: distant shots stay clear.
     """
-    ground = [shape for shape in stage.shapes if not shape.group and OBSTACLES not in shape.name]
+    ground = [shape for shape in stage.shapes if is_ground(shape)]
     if stage.water is not None or not ground:
         return HAZE[1]
     points = np.concatenate([shape.points[:, :2] for shape in ground])

@@ -58,6 +58,19 @@ def test_shade_ends_above_the_vehicles_underside():
     assert shade.at(np.array([[9.0, 0, low]]))[0] == 0
 
 
+def test_an_obstacle_shades_ground_at_any_height_as_far_as_it_is_high():
+    """On a slope, its base is in the ground. Cells that fit a kerb's length of 40 m were higher than the kerb."""
+    import trimesh
+
+    for size in ((40.0, 0.6, 0.15), (40.0, 8.0, 9.0)):
+        box = trimesh.creation.box(size)
+        shade = Shade.of(box.vertices, box.faces, standing=True)
+        near, far = (shade.at(np.array([[0, size[1] / 2 + share * size[2], -size[2] / 2]]))[0] for share in (0.5, 4.0))
+        assert 0.05 < near < 0.5 * STRENGTH  # at most half of the sky is behind a wall
+        assert far == 0
+        assert 0 < shade.at(np.array([[0, size[1] / 2 + 0.5 * size[2], 0]]))[0] <= near
+
+
 @pytest.fixture
 def new_stage(tmp_path):
     """A function that makes a stage of two frames in metres, Z up, with a prim that moves for each of ``names``."""
@@ -102,10 +115,10 @@ def add_box():
 
 @pytest.fixture
 def draw(new_stage, add_box):
-    """A picture of a moving box that hangs ``height`` m above the ground, and its segmentation."""
+    """A picture of a box ``height`` m above the ground that moves, or stands as an obstacle, and its segmentation."""
     from pxr import Gf, UsdGeom
 
-    def draw(height):
+    def draw(height, path="a"):
         stage = new_stage(f"box_{height:g}.usda", "a")
         camera = UsdGeom.Camera.Define(stage, "/top/main")
         camera.CreateFocalLengthAttr(0.35)
@@ -115,7 +128,7 @@ def draw(new_stage, add_box):
         camera.AddTranslateOp().Set(Gf.Vec3d(0, -12, 4))
         camera.AddRotateXOp().Set(72.0)
         add_box(stage, "/top/ground", (60, 60, 0.2), (0, 0, -0.1))
-        add_box(stage, "/top/a/box", (2, 2, 1), (0, 0, 0.5 + height))
+        add_box(stage, f"/top/{path}/box", (2, 2, 1), (0, 0, 0.5 + height))
         stage.GetRootLayer().Save()
         with StageRenderer(StageReader(stage.GetRootLayer().realPath), SIZE) as renderer:
             picture = renderer.render("main", 1).astype(float).mean(axis=2)
@@ -124,10 +137,11 @@ def draw(new_stage, add_box):
     return draw
 
 
-def test_a_vehicle_darkens_the_ground_that_it_touches_but_not_itself(draw, monkeypatch):
-    resting, seen = draw(0.0)
+@pytest.mark.parametrize("path", ["a", "env/obstacles/a"])
+def test_what_touches_the_ground_darkens_it_but_not_itself(path, draw, monkeypatch):
+    resting, seen = draw(0.0, path)
     monkeypatch.setattr(StageRenderer, "_shaded", lambda self, picture, *rest: picture)
-    plain, _ = draw(0.0)
+    plain, _ = draw(0.0, path)
     ground = (seen["segmentation"] == seen["segmentation"][-1, 0]).all(axis=2)
     change = plain - resting
     assert change.min() >= 0
@@ -159,19 +173,20 @@ def test_vehicles_of_one_shape_share_their_shade(new_stage, add_box):
     assert shades["/top/c"] is not shades["/top/a"]
 
 
-@pytest.mark.parametrize("parked", [True, False])
-def test_what_stands_still_has_a_shade_if_it_has_a_mass(parked, new_stage, add_box):
-    """A parked car has one as a moving car has; a house does not."""
+@pytest.mark.parametrize(("parked", "path"), [(True, "a"), (False, "a"), (False, "env/obstacles/a")])
+def test_what_stands_still_has_a_shade_if_it_has_a_mass_or_is_an_obstacle(parked, path, new_stage, add_box):
+    """A parked car has one as a moving car has; a hill does not."""
     from pxr import UsdGeom, UsdPhysics
 
     stage = new_stage("still.usda")
-    body = UsdGeom.Xform.Define(stage, "/top/a").GetPrim()
+    body = UsdGeom.Xform.Define(stage, f"/top/{path}").GetPrim()
     if parked:
         UsdPhysics.MassAPI.Apply(body)
     add_box(stage, "/top/ground", (60, 60, 0.2), (0, 0, -0.1))
-    add_box(stage, "/top/a/box", (2, 2, 1), (0, 0, 0.5))
+    add_box(stage, f"/top/{path}/box", (2, 2, 1), (0, 0, 0.5))
     stage.GetRootLayer().Save()
-    assert Shades(StageReader(stage.GetRootLayer().realPath)).bodies == ["/top/a"] * parked
+    shaded = parked or path != "a"
+    assert Shades(StageReader(stage.GetRootLayer().realPath)).bodies == [f"/top/{path}"] * shaded
 
 
 def test_a_trailer_takes_its_shade_with_it(new_stage, add_box):

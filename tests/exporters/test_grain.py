@@ -91,6 +91,7 @@ def test_only_wide_standing_textured_ground_has_grain_as_strong_as_its_texture(t
         replace(ground, surface=replace(plain, texture=texture(contrast))) for contrast in (0.03, 0.06, 0.9)
     )
     assert strengths_of([ground, replace(strong, group="/car"), replace(strong, points=points / 10)]) == [0, 0, 0]
+    assert strengths_of([replace(strong, name="/shot/env/obstacles/house/house")]) == [0]  # its wall looked woven
     a, b, c = strengths_of([faint, strong, rough])
     assert a > 0
     assert 1.5 < b / a < 2.7
