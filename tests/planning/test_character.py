@@ -107,6 +107,21 @@ def test_every_planned_vehicle_eases_in_and_out_of_rest(name: str) -> None:
     assert np.abs((made.clip.controls[[0, -1]] - rest) / scale)[:, acts].max() < 0.01
 
 
+@pytest.mark.parametrize(("name", "size"), [("boat", 1.5), ("car", 1.0), ("helicopter", 3.0), ("truck", 1.5)])
+def test_a_loop_that_starts_at_rest_also_ends_gently(name: str, size: float) -> None:
+    """Its last mark says nothing of a rest: a car's torque changed at its largest rate on the last frame."""
+    marks = [
+        Mark(1, position=(0, 0, 30), heading=0, velocity=STILL),
+        Mark("free", position=(20 * size, 6 * size, 30), velocity=STILL),
+        Mark("free"),
+    ]
+    made = vehsim.plan(vehsim.load_vehicle(name), marks=marks, loop=True)
+    assert made.success and made.character == "normal"
+    assert rates_at_ends(made, "normal") <= 0.01
+    eases = {row.key.split(".")[0] for row in made.audit if ".ease." in row.key}
+    assert eases == {"mark[0]", "mark[1]", "mark[2]"}
+
+
 def test_a_motion_well_within_its_character_is_not_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its soft limits would change it by less than a millimetre."""
     car = vehsim.load_vehicle("car")

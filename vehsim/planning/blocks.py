@@ -32,7 +32,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
     steady = [] if request.loop else steady_marks(request.vehicle, marks, traits)
     asks_turns = bool(costs_of(HazardView, weights)) or any(isinstance(term, Cost) for term in request.terms)
-    blocks.append(Easing(weights, traits, marks, steady, straight=not asks_turns, looks=aims))
+    blocks.append(Easing(weights, traits, request.stops, steady, straight=not asks_turns, looks=aims))
     blocks.append(Actuation(active=traits.name == STUNT and request.vehicle.actuated))
     blocks.append(UnitQuaternion())
     for i, mark in enumerate(marks):

@@ -13,6 +13,7 @@ from vehsim.planning.problem.stage import evaluate
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.character import control_rates, eased
 from vehsim.planning.request.landing import ROUND, SLOPE
+from vehsim.planning.request.legs import closed
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request
 from vehsim.planning.terms import LIMITS, Constraint, KnotView
@@ -44,7 +45,7 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
     planar = request.vehicle.group.planar
     relief = _relief(request)
     asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar, relief)
-    asks += [*_character(request, first, last), *_ease(request, marks, frames)]
+    asks += [*_character(request, first, last), *_ease(request, closed(marks) if request.loop else marks, frames)]
     asks += _actuators(request.vehicle, first, last)
     asks += _ranges(request, first, last)
     if request.loop:

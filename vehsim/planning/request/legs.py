@@ -129,7 +129,7 @@ def divided(paths: Sequence[Array], marks: Sequence[Mark]) -> list[Array]:
 
 def closed(marks: Sequence[Mark]) -> list[Mark]:
     """The marks of a loop, the last one where the first one is: paths lead back to it."""
-    kept = ("position", "heading", "orientation", "velocity", "speed")
+    kept = ("position", "heading", "orientation", "velocity", "speed", "ease")
     return [*marks[:-1], replace(marks[-1], **{key: getattr(marks[0], key) for key in kept})]
 
 
