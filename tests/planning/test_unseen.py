@@ -253,6 +253,33 @@ def test_a_car_shuttles_between_two_marks(heading):
     assert plan.success and plan.message == "solved"
 
 
+@pytest.mark.parametrize("turned", [0, 30])
+@pytest.mark.parametrize("last", [1301, "free"])
+@pytest.mark.parametrize(("name", "behind"), [("two_wheeled", 4.0), ("snakeboard", 3.0)])
+def test_a_robot_and_a_snakeboard_go_straight_back(name, behind, last, turned):
+    """They turned round twice: a snakeboard at 47 times the cost, over 8.3 m."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark(last, position=(-behind, 0.1 * behind, 0), heading=turned, velocity=REST),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle(name), None, marks)
+    assert plan.success and plan.message == "solved"
+    assert np.linalg.norm(np.diff(plan.clip.positions, axis=0), axis=1).sum() < 1.15 * behind
+
+
+@pytest.mark.parametrize(("name", "size"), [("two_wheeled", 1.0), ("snakeboard", 0.8)])
+def test_a_robot_and_a_snakeboard_shuttle(name, size):
+    """The robot's loop was a stunt, because it turned round at both ends."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=REST),
+        Mark("free", position=(2 * size, 0.6 * size, 0), velocity=REST),
+        Mark("free"),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle(name), None, marks, loop=True)
+    assert plan.success and plan.message == "solved"
+    assert np.linalg.norm(np.diff(plan.clip.positions, axis=0), axis=1).sum() < 1.2 * 2 * math.hypot(2, 0.6) * size
+
+
 @pytest.mark.parametrize("behind", [40, 45, 50])
 def test_a_truck_crosses_the_way_of_another(behind):
     """Both choose their frames. The guess was twice as fast as a truck, so it passed where the other would not be; from

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, SolveError
+from vehsim.planning.certificates import extent
+from vehsim.planning.constraints.easing import slides
 from vehsim.planning.constraints.spheres import balls
 from vehsim.planning.guesses.astar import guess_drive, turning_radius
 from vehsim.planning.guesses.drive import drive
@@ -43,7 +45,8 @@ RUN_UP = 0.5
 AWAY = -1e-6
 """Cosine of the angle between a leg and a nose below which the nose points away."""
 REVERSED = 16.0
-"""Longest way that a driver reverses rather than turning round, in turning radii: our choice."""
+"""Longest way that a driver reverses rather than turning round, in turning radii, or in lengths of what turns on the
+spot: our choice."""
 CURVE_POINTS, GENTLE = 33, math.radians(25.0)
 """Points of a curve from mark to mark; its largest angle with the straight line at its ends, rad: from sharper curves,
 a car on tyres was solved less often than from straight lines."""
@@ -229,7 +232,7 @@ def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
     A leg that is too early for a vehicle that turns round first may be possible in reverse.
     """
     moving = [path_length(path) > 1e-6 for path in paths]
-    if not _drives(request.vehicle) or not any(moving) or any(path.shape[1] > 3 for path in paths):
+    if not _noses_ahead(request.vehicle) or not any(moving) or any(path.shape[1] > 3 for path in paths):
         return []
     poses, heading = [], _tail_first(paths[moving.index(True)])[0]
     for path, moves in zip(paths, moving, strict=True):
@@ -240,15 +243,45 @@ def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
 
 
 def turnings(request: Request, paths: Sequence[Array]) -> list[list[Array]]:
-    """Other paths for a vehicle with a turning circle whose nose points away from its way, or whose way doubles back:
-    arcs and lines that it can drive, forwards and backwards, and straight back if no nose points ahead and it is not
-    far. Else none."""
-    along = _along_legs(request)
-    if not ((along < AWAY).any() or _doubles_back(request)) or not (driven := shunting(request, paths)):
+    """Other paths for a vehicle that goes nose first but whose nose points away from its way, or whose way doubles
+    back, none by default.
+
+    With a turning circle, they are arcs and lines that it can drive, forwards and backwards; and straight back if no
+    nose points ahead and it is not far. What turns on the spot, or swims, shuttles.
+    """
+    along, vehicle = _along_legs(request), request.vehicle
+    if slides(vehicle) or not ((along < AWAY).any() or _doubles_back(request)):
         return []
-    back = straight(request)
-    short = sum(map(path_length, back)) <= REVERSED * turning_radius(request.vehicle)
-    return [driven, backwards(request, back)] if short and (along < AWAY).all() else [driven]
+    radius, back = turning_radius(vehicle), straight(request)
+    if radius == 0 or swims(vehicle):
+        others = [shuttling(request)]
+    else:
+        short = sum(map(path_length, back)) <= REVERSED * radius
+        others = [shunting(request, paths), backwards(request, back) if short and (along < AWAY).all() else []]
+    return [other for other in others if other]
+
+
+def shuttling(request: Request) -> list[Array]:
+    """Straight poses (2, 4) of a vehicle that goes tail first along each leg that leads back and is not long; none if
+    there is no such leg, or if it need not go nose first."""
+    if not _noses_ahead(request.vehicle):
+        return []
+    noses = [heading_of(mark) for mark in request.stops]
+    poses, nose, backs = [], noses[0], False
+    for (start, end), after in zip(legs_between(request.stops), noses[1:], strict=True):
+        step = np.subtract(end, start)
+        if (length := float(np.linalg.norm(step))) < 1e-6:
+            heading = nose or 0.0
+        else:
+            ahead = math.atan2(step[1], step[0])
+            nose = next((each for each in (nose, after) if each is not None), ahead)
+            off = math.remainder(ahead - nose, 2 * math.pi)
+            if abs(off) > math.pi / 2 and length <= REVERSED * extent(request.vehicle):
+                off, backs = off - math.copysign(math.pi, off), True
+            heading = nose + off
+        poses.append(np.array([[*start, heading], [*end, heading]]))
+        nose = heading
+    return poses if backs else []
 
 
 def _along_legs(request: Request) -> Array:
@@ -304,8 +337,13 @@ def _approach(mark: Mark, length: float) -> Array:
     return way * length / max(float(np.linalg.norm(way)), 1e-9)
 
 
+def _noses_ahead(vehicle: Vehicle) -> bool:
+    """Whether a vehicle in the plane goes nose first or tail first."""
+    return vehicle.group.planar and math.isfinite(turning_radius(vehicle))
+
+
 def _drives(vehicle: Vehicle) -> bool:
-    return vehicle.group.planar and not swims(vehicle) and math.isfinite(turning_radius(vehicle))
+    return _noses_ahead(vehicle) and not swims(vehicle)
 
 
 def _tail_first(path: Array) -> Array:
