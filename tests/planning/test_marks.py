@@ -241,6 +241,17 @@ def test_a_climb_limit_holds_on_hills(car):
     assert not plan.success
 
 
+def test_a_boat_goes_round_a_loop_past_one_mark():
+    """It stopped and backed up at both ends."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=(4, 0, 0)),
+        Mark(1301, position=(40, 30, 0)),
+        Mark(1850),
+    ]
+    plan = vehsim.plan(vehsim.load_vehicle("boat"), None, marks, loop=True)
+    assert plan.success and plan.clip.twists[:, 1].min() > 1.0
+
+
 @pytest.mark.parametrize("heading", [0.0, 120.0])
 @pytest.mark.parametrize(
     ("name", "speed", "turn"), [("boat", 4.0, (40, 30)), ("car", 4.0, (40, 30)), ("car", 0.0, (40, 30)),

@@ -15,8 +15,9 @@ from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.request.marks import Mark, given_frames, heading_of
 
 Array = NDArray[np.float64]
-WIDE = 0.25
-"""Half the width of the oval of a loop past a single mark, relative to its length."""
+WIDE = 0.5
+"""Half the width of the oval of a loop past a single mark, relative to its length: from narrow ones, boats stop and
+back up where they could go round."""
 
 
 def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark], bool]) -> list[Mark]:
