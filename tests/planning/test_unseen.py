@@ -267,6 +267,14 @@ def test_a_robot_and_a_snakeboard_go_straight_back(name, behind, last, turned):
     assert np.linalg.norm(np.diff(plan.clip.positions, axis=0), axis=1).sum() < 1.15 * behind
 
 
+@pytest.mark.parametrize("last", [1045, 1053, 1062])
+def test_a_stunt_turns_round_in_little_time(last):
+    """No coarse motion was found, and the wrong guess was kept: it was refused as too early, but not if calmer."""
+    marks = [Mark(1001, position=(0, 0, 0), heading=0, velocity=(10, 0, 0)), Mark(last, position=(-4, 6, 0))]
+    plan = vehsim.plan(vehsim.load_vehicle("car"), None, marks, character="stunt")
+    assert plan.success and plan.message == "solved"
+
+
 @pytest.mark.parametrize(("name", "size"), [("two_wheeled", 1.0), ("snakeboard", 0.8)])
 def test_a_robot_and_a_snakeboard_shuttle(name, size):
     """The robot's loop was a stunt, because it turned round at both ends."""

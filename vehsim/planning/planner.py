@@ -100,8 +100,9 @@ WORSE = 3.0
 as little as possible."""
 FOLDED = math.radians(30)
 """Largest angle at which a trailer comes to rest, unless a mark gives it or no other motion is found."""
-QUICK = Patience(60, near=1e-2)
-"""That of a solve in a character, after which it is compared with a stunt."""
+QUICK, PATIENT = Patience(60, near=1e-2), Patience(200)
+"""That of a solve in a character, after which it is compared with a stunt, and of coarse solves that rank initial
+guesses; and of the latter if none of them was solved."""
 PRESSED = 1.2, 3.0
 """Ratios of a flight's guess to a limit of its character between which it is solved within the limits at once, which
 otherwise takes a second solve. Below, it stays within them anyway; above, this takes more iterations."""
@@ -614,9 +615,13 @@ def _turning(run: Run, request: Request, transcription: Transcription, guess: In
         return guess
     if math.isfinite(run.deadline.end):
         return InitialGuess(others[0])
-    guesses = [*map(InitialGuess, others), guess]
-    coarse = [solve(run, begin(run, request, transcription, None, each.paths), QUICK) for each in guesses]
-    return guesses[int(np.argmin([each.cost for each in coarse]))]
+    guesses, costs = [*map(InitialGuess, others), guess], []
+    for patience in (QUICK, PATIENT):
+        coarse = [solve(run, begin(run, request, transcription, None, each.paths), patience) for each in guesses]
+        costs = [each.cost for each in coarse]
+        if math.isfinite(min(costs)):
+            break
+    return guesses[int(np.argmin(costs))]
 
 
 def _is_easy(request: Request, cover: SphereCover | None) -> bool:

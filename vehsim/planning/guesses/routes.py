@@ -19,7 +19,16 @@ from vehsim.planning.constraints.easing import slides
 from vehsim.planning.constraints.spheres import balls
 from vehsim.planning.guesses.astar import guess_drive, turning_radius
 from vehsim.planning.guesses.drive import drive
-from vehsim.planning.request.legs import cut, divided, legs_between, path_length, placed_marks, poses_of, round_trip
+from vehsim.planning.request.legs import (
+    ROUND,
+    cut,
+    divided,
+    legs_between,
+    path_length,
+    placed_marks,
+    poses_of,
+    round_trip,
+)
 from vehsim.planning.request.marks import Mark, heading_of
 from vehsim.planning.request.marks_near_obstacles import parts_in_reach
 from vehsim.planning.request.request import Request, search_boxes
@@ -247,11 +256,14 @@ def turnings(request: Request, paths: Sequence[Array]) -> list[list[Array]]:
     back, none by default.
 
     With a turning circle, they are arcs and lines that it can drive, forwards and backwards; and straight back if no
-    nose points ahead and it is not far. What turns on the spot, or swims, shuttles.
+    nose points ahead and it is not far. What turns on the spot, or swims, shuttles. A loop past one mark may also be a
+    circle.
     """
     along, vehicle = _along_legs(request), request.vehicle
-    if slides(vehicle) or not ((along < AWAY).any() or _doubles_back(request)):
+    if not ((along < AWAY).any() or _doubles_back(request)):
         return []
+    if slides(vehicle):
+        return [round_trip(request.stops, ROUND)] if vehicle.group.planar and request.loop and len(along) == 2 else []
     radius, back = turning_radius(vehicle), straight(request)
     if radius == 0 or swims(vehicle):
         others = [shuttling(request)]

@@ -15,9 +15,8 @@ from vehsim.lie.quaternions import yaw_of
 from vehsim.planning.request.marks import Mark, given_frames, heading_of
 
 Array = NDArray[np.float64]
-WIDE = 0.5
-"""Half the width of the oval of a loop past a single mark, relative to its length: from narrow ones, boats stop and
-back up where they could go round."""
+OVAL, ROUND = 0.25, 0.5
+"""Half the widths of a loop past a single mark, relative to its length: of an oval and of a circle."""
 
 
 def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark], bool]) -> list[Mark]:
@@ -134,10 +133,11 @@ def closed(marks: Sequence[Mark]) -> list[Mark]:
     return [*marks[:-1], replace(marks[-1], **{key: getattr(marks[0], key) for key in kept})]
 
 
-def round_trip(marks: Sequence[Mark]) -> list[Array]:
+def round_trip(marks: Sequence[Mark], width: float = OVAL) -> list[Array]:
     """Paths (k, 3) m of all legs along one smooth closed curve; ``marks``: those of a loop, as of `closed`.
 
-    Past a single mark on the way it is an oval, which leaves to the side of the first mark's heading.
+    Past a single mark on the way it is an oval of half this ``width``, relative to its length, which leaves to the side
+    of the first mark's heading.
     """
     from scipy.interpolate import CubicSpline
 
@@ -148,7 +148,7 @@ def round_trip(marks: Sequence[Mark]) -> list[Array]:
     cuts = np.arange(len(points))
     if len(points) == 3:
         first, turn, _ = points
-        across = WIDE * np.array([turn[1] - first[1], first[0] - turn[0], 0.0])  # to the right
+        across = width * np.array([turn[1] - first[1], first[0] - turn[0], 0.0])  # to the right
         nose = heading_of(marks[0])
         if nose is not None and np.dot(across[:2], (math.cos(nose), math.sin(nose))) < 0:
             across = -across
