@@ -315,3 +315,14 @@ def test_an_edit_of_a_truck_leaves_room_for_its_trailer():
     frames, positions, rotations = bumped(clip, 1090, 1210, (0.0, 0.5, 0.0))
     made = retouch(clip, None, frames, positions, rotations, stops=[1001, 1501])
     assert made.metres.max() < 0.03 and made.kept < KEPT
+
+
+def test_a_robot_at_its_speed_limit_is_drawn_to_an_edit():
+    """Between its knots, where windows begin and end, the solved motion is faster than its limit by 0.05 mm/s."""
+    ends = [(1001, (-6, 0, 0)), (1241, (6, 0, 0))]
+    marks = [Mark(frame, position=place, heading=0, velocity=(0, 0, 0)) for frame, place in ends]
+    plan = vehsim.plan(vehsim.load_vehicle("two_wheeled"), None, marks, fps=25, limits={"speed": 1.5})
+    frames, positions, rotations = bumped(plan.clip, 1080, 1150, (0.0, 0.5, 0.0))
+    made = retouch(plan.clip, None, frames, positions, rotations, limits={"speed": 1.5})
+    assert made.touched and made.kept < KEPT
+    assert np.abs(made.clip.twists[:, 1]).max() < 1.5 * 1.001

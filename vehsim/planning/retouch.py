@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.audit import WorldScene, audit, track_of_clip
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, SolveError
 from vehsim.lie.quaternions import continuous, from_yaw, matrices, yaw_of
@@ -38,10 +39,12 @@ from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import knot_view
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import ORDER
+from vehsim.planning.request.asks import asks_of
 from vehsim.planning.request.legs import poses_of
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request, make_request
 from vehsim.planning.solve import solve
+from vehsim.planning.terms import Limits
 from vehsim.planning.trajectory import Trajectory, exported
 from vehsim.planning.trim import is_pushed
 from vehsim.runtime.progress import Progress
@@ -96,6 +99,8 @@ SPARE = 0.02
 adds a margin, which the solved motion itself would not keep."""
 STANDS = 0.05
 """Distance of a flying vehicle from the ground and obstacles below which it counts as landed, m."""
+AGREES = 1e-4
+"""Share by which a limit that is measured on a motion may differ from the optimiser's."""
 SPENT = ("work", "dissipated")
 """The accounts of energy that accumulate."""
 
@@ -152,9 +157,9 @@ def retouch(
     whole ``frames`` (n,).
 
     ``clearance``, ``limits``: as in `plan`; ``stops``: frames whose state remains exactly, such as those of marks,
-    unless the edit touches them. Frames outside the clip are ignored. Raises ``InputError`` for a vehicle that nothing
-    pushes, and ``SolveError`` naming the frames if there is no motion that returns to the solved one, or if it stands
-    on the ground there.
+    unless the edit touches them.
+    Frames outside the clip are ignored. Raises ``InputError`` for a vehicle that nothing pushes, and ``SolveError``
+    naming the frames if there is no motion that returns to the solved one, or if it stands on the ground there.
     """
     check_pushed(clip.vehicle)
     inside = (frames >= clip.start_frame) & (frames <= clip.end_frame)
@@ -365,8 +370,9 @@ def _attempt(
     )
     exact = [replace(mark, frame=at) for mark, at in zip(request.marks, window, strict=True)]  # type: ignore[arg-type]
     request = replace(request, marks=exact)  # knots need not be on whole frames
-    run, transcription = Run(request, progress, end="near"), transcribe(request.weighed)
     local = clip.at(_times(clip, np.linspace(*window, 2 * count + 1)))  # at the knots, and halfway
+    request = replace(request, limits=_limits(request, local))
+    run, transcription = Run(request, progress, end="near"), transcribe(request.weighed)
     with interrupts.remembered():
         cover = cover_for(request, [poses_of(local)], run.deadline.watched(progress))
         layout = Layout(transcription.sizes, (count,), ORDER)
@@ -384,6 +390,31 @@ def _attempt(
             iterate = solve(run, replace(iterate, blocks=tuple(blocks)))
         iterate = refine_and_certify(run, iterate)
     return request, iterate
+
+
+def _limits(request: Request, solved: Clip) -> Limits:
+    """The limits, as far as the solved motion keeps them in a window: it may exceed them between its knots, where the
+    window may begin, by what the audit allows, and no other motion begins there."""
+    limits, prefix = request.limits, "limits."
+    track = track_of_clip(replace(solved, times=solved.times - solved.times[0]))
+    asks = asks_of(request, [float(mark.frame) for mark in request.marks])
+    first, last = float(track.frames[0]), float(track.frames[-1])
+    wanted = [replace(ask, first=first, last=last) for ask in asks if ask.key.startswith(prefix)]
+    rows = audit(track, wanted, WorldScene(request.world, solved.vehicle))
+    found = [(row.key.removeprefix(prefix), row.value, row.upper) for row in rows]
+    most = {name: min(value + AGREES * abs(value), upper) for name, value, upper in found if value and upper}
+
+    def wider(given: Mapping[str, tuple[float, float]], values: Array) -> dict[str, tuple[float, float]]:
+        low, high = (
+            dict(zip(solved.vehicle.joints, side.tolist(), strict=True)) for side in (values.min(0), values.max(0))
+        )
+        return {name: (min(a, low[name]), max(b, high[name])) for name, (a, b) in given.items()}
+
+    return Limits(
+        {name: max(value, most.get(name, value)) for name, value in limits.values.items()},
+        wider(limits.joints, solved.joints),
+        wider(limits.joint_rates, solved.joint_rates),
+    )
 
 
 def _without_costs(request: Request, transcription: Transcription, cover: Any, ends: _Ends) -> list[Block]:
