@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from vehsim.cli import commands as cli
+from vehsim.errors import SolveError
 
 SHOT = """
 [shot]
@@ -39,12 +41,12 @@ def delivery(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out" / "drive"
 
 
-def positions(stage: Path, frames: range, prim: str = PRIM) -> np.ndarray:
+def positions(stage: Path, frames: Iterable[int], prim: str = PRIM) -> np.ndarray:
     from pxr import Usd, UsdGeom
 
     opened = Usd.Stage.Open(str(stage))
     shown = UsdGeom.Xformable(opened.GetPrimAtPath(prim))
-    places = [shown.ComputeLocalToWorldTransform(frame).ExtractTranslation() for frame in frames]
+    places = [shown.ComputeLocalToWorldTransform(int(frame)).ExtractTranslation() for frame in frames]
     return np.array(places)
 
 
@@ -57,7 +59,8 @@ def over(delivery: Path, path: Path, variant: str) -> object:
     stage = Usd.Stage.Open(layer)
     stage.SetTimeCodesPerSecond(24)
     stage.SetFramesPerSecond(24)
-    stage.GetPrimAtPath(PRIM).GetVariantSets().SetSelection("motion", variant)
+    for prim in stage.GetPrimAtPath("/drive/vehicles").GetChildren():
+        prim.GetVariantSets().SetSelection("motion", variant)
     return stage
 
 
@@ -304,3 +307,63 @@ def test_curves_of_an_open_shutter_go_on_for_a_frame(tmp_path: Path, capsys: pyt
     assert cli.run(["retouch", str(tmp_path / "out" / "drive"), *edit]) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert not [event for event in events if event["event"] == "warning" and "beyond" in event["message"]]
+
+
+def moved(delivery: Path, path: Path, later: int = 0, by: float = 1.0, prim: str = PRIM, last: int = 1097) -> Path:
+    """An edit of a delivery: its vehicle is moved aside in frames 1030 to 1070, or ``later`` ones."""
+    from pxr import Usd
+
+    stage = over(delivery, path, "exact")
+    assert isinstance(stage, Usd.Stage)
+    track = stage.GetPrimAtPath(prim).GetAttribute("xformOp:translate")
+    for frame, place in [(frame, track.Get(frame)) for frame in range(1001, last + 1)]:
+        track.Set(place + type(place)(0, by * bump(frame - later), 0), frame)
+    stage.GetRootLayer().Save()
+    return path
+
+
+def retouched(delivery: Path, edit: Path, out: Path, *more: str) -> Path:
+    assert cli.run(["retouch", str(delivery), "--edit", str(edit), "--out", str(out), "--quiet", *more]) == 0
+    return out / delivery.name
+
+
+PLAN = """
+method = "plan"
+segments = 12
+mark = [
+    { frame = 1001, position = [0, 0, 0], velocity = [0, 0, 0] }, { frame = 1121, position = [12, 0, 0], heading = 0 },
+]
+"""
+
+
+def test_a_motion_beyond_its_character_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The plan keeps to it; an edit that throws the car aside does not."""
+    text = SHOT[: SHOT.index("method")] + PLAN + SHOT[SHOT.index("[export]") :]
+    (tmp_path / "shot.toml").write_text(text)
+    export = ["export", str(tmp_path / "shot.toml"), "--out", str(tmp_path / "out"), "--log", "json"]
+    assert cli.run(export) == 0
+    assert "; beyond" not in capsys.readouterr().out
+    solved = tmp_path / "out" / "drive"
+    edit = moved(solved, tmp_path / "edited.usda", 0, 4.0, last=1121)
+    arguments = ["retouch", str(solved), "--edit", str(edit), "--out", str(tmp_path / "new"), "--log", "json"]
+    assert cli.run(arguments) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    (said,) = [event["message"] for event in events if event["event"] == "warning" and "beyond" in event["message"]]
+    assert said.startswith("car: retouched; beyond normal: character.") and " allowed, at frame " in said
+    about = json.loads((tmp_path / "new" / "drive" / "report.json").read_text())["solved"]
+    assert said.endswith(": " + "; ".join(about["vehicles"]["car"]["edit"]["beyond"]))
+
+
+def test_a_vehicle_without_a_motion_is_named_as_in_the_shot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(clip: Any, *given: Any, **options: Any) -> None:
+        raise SolveError("no motion leads back", "edit less", subject=clip.vehicle.name)
+
+    (tmp_path / "shot.toml").write_text(SHOT.replace('name = "car"', 'name = "bot"'))
+    assert cli.run(["export", str(tmp_path / "shot.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    solved = tmp_path / "out" / "drive"
+    monkeypatch.setattr("vehsim.planning.retouch.retouch", refused)
+    edit = moved(solved, tmp_path / "edited.usda", prim="/drive/vehicles/bot")
+    assert cli.run(["retouch", str(solved), "--edit", str(edit), "--out", str(tmp_path / "new")]) == cli.FAILED
+    assert "bot: no motion leads back" in capsys.readouterr().err.replace("\n", " ")

@@ -326,3 +326,18 @@ def test_a_robot_at_its_speed_limit_is_drawn_to_an_edit():
     made = retouch(plan.clip, None, frames, positions, rotations, limits={"speed": 1.5})
     assert made.touched and made.kept < KEPT
     assert np.abs(made.clip.twists[:, 1]).max() < 1.5 * 1.001
+
+
+def test_what_exceeds_the_character_is_named():
+    """A calm car that is moved aside in two seconds accelerates harder than its driver would."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0)),
+        Mark(1301, position=(40, 0, 0), heading=0, velocity=(0, 0, 0)),
+    ]
+    plan = vehsim.plan(CAR, None, marks, fps=24, character="calm")
+    assert "beyond" not in plan.message
+    little, much = (
+        retouch(plan.clip, None, *bumped(plan.clip, 1100, 1150, (0.0, by, 0.0)), asks=plan.asks) for by in (0.003, 1.5)
+    )
+    assert not little.beyond
+    assert any(row.startswith("character.acceleration: ") for row in much.beyond)

@@ -51,7 +51,7 @@ from vehsim.planning.problem import interrupts
 from vehsim.planning.problem.solver import HURRIED, LONGER, MET, Patience
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_on_frames, to_requested_segments
-from vehsim.planning.request.asks import BEYOND, ROOM, asks_of
+from vehsim.planning.request.asks import BEYOND, ROOM, asks_of, beyond_character
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
 from vehsim.planning.request.legs import facing, same_choices, turned_round
@@ -272,13 +272,10 @@ def _warn(plan: Plan) -> None:
         return
     for message in plan._cautions:
         warnings.warn(message, stacklevel=3)
-    if plan._iterate is not None and (plan._iterate.remark or ends_elsewhere(plan._iterate) or _beyond(plan.audit)):
+    if plan._iterate is not None and (
+        plan._iterate.remark or ends_elsewhere(plan._iterate) or beyond_character(plan.audit)
+    ):
         warnings.warn(f"{name}: {plan.message}", stacklevel=3)
-
-
-def _beyond(rows: Sequence[Row]) -> list[str]:
-    """The soft limits of the character that a motion exceeds."""
-    return [str(row) for row in rows if row.met is False and row.key.startswith(BEYOND)]
 
 
 class _TooHard(Exception):
@@ -759,7 +756,7 @@ def _result(run: Run, iterate: Iterate, reason: Reason | None = None) -> Plan:
     asks = asks_of(request, iterate.mark_frames())
     known = iterate.track if clip.positions is iterate.clip.positions else None  # else wheels were placed on the ground
     rows = audit(track_of_clip(clip, known), asks, WorldScene(request.world, clip.vehicle)) if success else []
-    if beyond := _beyond(rows):
+    if beyond := beyond_character(rows):
         message += f"; beyond {request.traits.name}: {'; '.join(beyond)}"
     if wrong := missed(rows):
         success, reason = False, "audit"

@@ -39,7 +39,7 @@ from vehsim.planning.problem.layout import Layout
 from vehsim.planning.problem.stage import knot_view
 from vehsim.planning.problem.transcription import Transcription, transcribe
 from vehsim.planning.refine import ORDER
-from vehsim.planning.request.asks import asks_of
+from vehsim.planning.request.asks import BEYOND, asks_of, beyond_character
 from vehsim.planning.request.legs import poses_of
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.request.request import Request, make_request
@@ -47,6 +47,7 @@ from vehsim.planning.solve import solve
 from vehsim.planning.terms import Limits
 from vehsim.planning.trajectory import Trajectory, exported
 from vehsim.planning.trim import is_pushed
+from vehsim.requests import Ask
 from vehsim.runtime.progress import Progress
 from vehsim.vehicles import Vehicle
 from vehsim.vehicles.definition.character import BRISK, STUNT
@@ -123,6 +124,8 @@ class Retouch:
     kept: float
     lifted: tuple[tuple[int, int], ...] = ()
     """Runs of frames on which the edit has another height or tilt than the solved motion, which the ground sets."""
+    beyond: tuple[str, ...] = ()
+    """The limits of its character that the clip exceeds, other than the solved motion did, in words."""
 
     def misses(self, more: float = KEPT) -> list[dict[str, float]]:
         """Every run of frames on which the edit is missed by ``more`` m: its ends, and where and by how much most."""
@@ -151,13 +154,14 @@ def retouch(
     clearance: float = 1.0,
     limits: Mapping[str, float] | None = None,
     stops: Sequence[float] = (),
+    asks: Sequence[Ask] = (),
     progress: Progress | None = None,
 ) -> Retouch:
     """The motion nearest to an edit of ``clip``: root poses ``positions`` (n, 3) m, ``rotations`` R_wr (n, 3, 3) on
     whole ``frames`` (n,).
 
     ``clearance``, ``limits``: as in `plan`; ``stops``: frames whose state remains exactly, such as those of marks,
-    unless the edit touches them.
+    unless the edit touches them; ``asks``: those of the plan, by which ``beyond`` of the result is measured.
     Frames outside the clip are ignored. Raises ``InputError`` for a vehicle that nothing pushes, and ``SolveError``
     naming the frames if there is no motion that returns to the solved one, or if it stands on the ground there.
     """
@@ -205,7 +209,15 @@ def retouch(
         degrees,
         kept,
         tuple((int(edit.frames[a]), int(edit.frames[b])) for a, b in lifted),
+        _beyond(clip, made, world, asks),
     )
+
+
+def _beyond(solved: Clip, made: Clip, world: Any, asks: Sequence[Ask]) -> tuple[str, ...]:
+    """What a motion exceeds of the character, other than the solved one did."""
+    soft, scene = [ask for ask in asks if ask.key.startswith(BEYOND)], WorldScene(world, solved.vehicle)
+    before, after = (beyond_character(audit(track_of_clip(clip), soft, scene)) for clip in (solved, made))
+    return tuple(row for row in after if row not in before)
 
 
 def _slower(vehicle: Vehicle) -> float:

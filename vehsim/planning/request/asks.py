@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import casadi as ca
 import numpy as np
 
-from vehsim.audit import PER_FRAME
+from vehsim.audit import PER_FRAME, Row
 from vehsim.planning.problem.stage import evaluate
 from vehsim.planning.problem.transcription import transcribe
 from vehsim.planning.request.character import control_rates, eased
@@ -66,6 +66,11 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
             )
         )
     return asks
+
+
+def beyond_character(rows: Sequence[Row]) -> list[str]:
+    """The soft limits of the character that a motion exceeds."""
+    return [str(row) for row in rows if row.met is False and row.key.startswith(BEYOND)]
 
 
 def _mark(request: Request, mark: Mark, frame: float, hold: float) -> Iterator[Ask]:

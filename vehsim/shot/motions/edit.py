@@ -13,6 +13,7 @@ import numpy as np
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.shot.checks import Context
 from vehsim.shot.schema.tables import Table, Text
+from vehsim.shot.subjects import naming
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -83,24 +84,29 @@ class EditTable(Table):
         from pxr import Usd
 
         from vehsim.planning.retouch import KEPT, retouch
+        from vehsim.requests import Ask
         from vehsim.world.placing import placed
 
-        clip = placed(clip, context.world)
+        model = clip.vehicle.name
+        with naming(name, model):
+            clip = placed(clip, context.world)
         with Usd.StageCacheContext(Usd.StageCache()):  # the stage is opened once
             edited = self.read(clip.vehicle, context)
             parts = self._parts_moved(edited, delivered, context, curves)
         asks = [dict(ask) for ask in report.get("asks", [])]
         marks = [ask for ask in asks if ask["key"].startswith("mark[")]
-        made = retouch(
-            clip,
-            context.world,
-            edited.frames,
-            edited.positions,
-            edited.rotations,
-            stops=sorted({frame for ask in marks for frame in (ask["first"], ask["last"])}),
-            progress=progress,
-            **{key: options[key] for key in ("clearance", "limits") if key in options},
-        )
+        with naming(name, model):
+            made = retouch(
+                clip,
+                context.world,
+                edited.frames,
+                edited.positions,
+                edited.rotations,
+                stops=sorted({frame for ask in marks for frame in (ask["first"], ask["last"])}),
+                asks=[Ask.from_dict(ask) for ask in asks],
+                progress=progress,
+                **{key: options[key] for key in ("clearance", "limits") if key in options},
+            )
         if made.kept > KEPT:
             raise SolveError(
                 f"frames that the edit does not touch move by {1000 * made.kept:.3g} mm, more than {1000 * KEPT:g} mm",
@@ -112,12 +118,16 @@ class EditTable(Table):
                 ask["severity"] = "warning"
         _warn(name, made, _beyond(edited, clip, delivered), clip)
         _warn_of_parts(name, parts)
+        if made.beyond:
+            character = report.get("character", "its character")
+            warnings.warn(f"{name}: retouched; beyond {character}: {'; '.join(made.beyond)}", stacklevel=2)
         details = {
             "touched": made.touched,
             "solved_again": made.windows,
             "kept_within": made.kept,
             "missed": made.misses(),
             "largest_miss": float(made.metres.max(initial=0.0)),
+            "beyond": made.beyond,
             "parts": [asdict(part) for part in parts],
         }
         return made.clip, {**report, "asks": asks, "edit": details}
