@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from vehsim.cli import commands as cli
 from vehsim.errors import SolveError
+from vehsim.shot.shot import Shot
 
 SHOT = """
 [shot]
@@ -325,6 +327,104 @@ def moved(delivery: Path, path: Path, later: int = 0, by: float = 1.0, prim: str
 def retouched(delivery: Path, edit: Path, out: Path, *more: str) -> Path:
     assert cli.run(["retouch", str(delivery), "--edit", str(edit), "--out", str(out), "--quiet", *more]) == 0
     return out / delivery.name
+
+
+def test_a_retouched_delivery_is_retouched_again(delivery: Path, tmp_path: Path) -> None:
+    """Each edit starts from the delivery of the one before, which keeps what the new one does not touch."""
+    frames = np.arange(1001, 1098)
+    first = retouched(delivery, moved(delivery, tmp_path / "e1.usda"), tmp_path / "r1")
+    second = retouched(first, moved(first, tmp_path / "e2.usda", 12, -0.5), tmp_path / "r2")
+    third = retouched(second, moved(second, tmp_path / "e3.usda", -15, 0.3), tmp_path / "r3")
+    places = [positions(folder / "drive.usda", frames) for folder in (delivery, first, second, third)]
+    for (before, after), (later, by) in zip(pairwise(places), [(0, 1.0), (12, -0.5), (-15, 0.3)], strict=True):
+        wanted = np.array([by * bump(frame - later) for frame in frames])
+        assert np.abs((after - before)[:, 1] - wanted).max() < 0.03
+    about = json.loads((third / "report.json").read_text())["solved"]
+    assert [Path(edit["usd"]).name for edit in about["shot"]["vehicle"][0]["edit"]] == ["e1.usda", "e2.usda", "e3.usda"]
+    assert about["vehicles"]["car"]["edit"]["round"] == 3
+    assert [edit["round"] for edit in about["vehicles"]["car"]["edit"]["earlier"]] == [1, 2]
+    again = Shot.from_dict(about["shot"], Path()).solve().clips["car"]
+    assert again.at((frames - 1001) / 24).positions == pytest.approx(places[-1], abs=1e-9)
+
+
+def test_a_retouched_delivery_is_retouched_again_from_its_shot_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The shot file does not know the first edit, whose path counts from the working folder of the first retouch."""
+    monkeypatch.chdir(tmp_path)
+    Path("shots").mkdir()
+    Path("shots/shot.toml").write_text(SHOT)
+    assert cli.run(["export", "shots/shot.toml", "--out", "out", "--quiet"]) == 0
+    solved = tmp_path / "out" / "drive"
+    first = retouched(solved, moved(solved, Path("e1.usda")), tmp_path / "r1")
+    edit = moved(first, tmp_path / "e2.usda", 12, -0.5)
+    second = retouched(first, edit, tmp_path / "r2", "--shot", "shots/shot.toml")
+    monkeypatch.chdir("shots")
+    other = retouched(first, edit, tmp_path / "r3", "--shot", "shot.toml")
+    frames = range(1001, 1098)
+    made = [positions(folder / "drive.usda", frames) for folder in (first, second, other)]
+    assert np.ptp((made[1] - made[0])[:, 1]) > 0.1 and np.array_equal(made[1], made[2])
+    given = json.loads((other / "report.json").read_text())["solved"]["shot"]["vehicle"][0]["edit"]
+    assert [edit["usd"] for edit in given] == ["../e1.usda", "../e2.usda"]
+
+
+def test_a_retouch_from_the_file_of_an_earlier_one_is_refused(
+    delivery: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = retouched(delivery, moved(delivery, tmp_path / "edited.usda"), tmp_path / "r1")
+    edit = moved(first, tmp_path / "edited.usda", 12)
+    assert cli.run(["retouch", str(first), "--edit", str(edit), "--out", str(tmp_path / "r2")]) == cli.WRONG_INPUT
+    assert "save the new edit under another name" in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_an_edit_of_another_vehicle_comes_after_those_of_the_first(tmp_path: Path) -> None:
+    """The second delivery has the motion of the first, although its file names the other vehicle before."""
+    start = SHOT.index("[[vehicle]]")
+    car, rest = SHOT[start : SHOT.index("[export]")], SHOT[SHOT.index("[export]") :]
+    beside = car.replace('name = "car"', 'name = "beside"').replace("velocity", "position = [0, 9, 0], velocity")
+    (tmp_path / "shot.toml").write_text(SHOT[:start] + beside + car + rest)
+    assert cli.run(["export", str(tmp_path / "shot.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    solved = tmp_path / "out" / "drive"
+    first = retouched(solved, only(moved(solved, tmp_path / "e1.usda"), "car"), tmp_path / "r1")
+    both = moved(first, tmp_path / "e2.usda", prim="/drive/vehicles/beside")
+    second = retouched(first, only(both, "beside"), tmp_path / "r2")
+    edits = [table["edit"] for table in json.loads((second / "report.json").read_text())["solved"]["shot"]["vehicle"]]
+    assert [[edit.get("round") for edit in own] for own in edits] == [[2], [None]]
+    at = range(1001, 1098)
+    before, after = (positions(folder / "drive.usda", at) for folder in (first, second))
+    assert np.array_equal(before, after)
+
+
+def only(edit: Path, vehicle: str) -> Path:
+    """The edit as another tool exports it: with one vehicle."""
+    from pxr import Usd
+
+    layer = Usd.Stage.Open(str(edit)).Flatten()
+    layer.pseudoRoot.SetInfo("upAxis", "Z")
+    layer.pseudoRoot.SetInfo("metersPerUnit", 1.0)
+    for name in [child.name for child in layer.GetPrimAtPath("/drive/vehicles").nameChildren]:
+        if name != vehicle:
+            del layer.GetPrimAtPath("/drive/vehicles").nameChildren[name]
+    alone = edit.with_name(f"{edit.stem}_{vehicle}.usda")
+    assert layer.Export(str(alone))
+    return alone
+
+
+def test_rounds_of_edits_rise(delivery: Path, tmp_path: Path) -> None:
+    edit = moved(delivery, tmp_path / "e1.usda")
+    table = f'[[vehicle.edit]]\nusd = "{edit}"\nprim = "{PRIM}"\nround = 2\n'
+    text = SHOT.replace("[vehicle.motion]", f"{table}{table}[vehicle.motion]")
+    (tmp_path / "shot.toml").write_text(text)
+    (problem,) = Shot.load(tmp_path / "shot.toml").check()
+    assert problem.key == "vehicle[0].edit" and "rounds do not rise" in problem.message
+
+    first = f'marks = {{ usd = "{edit}", prim = "{PRIM}", edit = true }}\n'  # in round 1
+    for number, wrong in ((1, 1), (2, 0)):
+        later = table.replace("round = 2", f"round = {number}")
+        plan = PLAN.replace("mark = [", f"{first}mark = [") + later + SHOT[SHOT.index("[export]") :]
+        (tmp_path / "shot.toml").write_text(SHOT[: SHOT.index("method")] + plan)
+        shot = Shot.load(tmp_path / "shot.toml")
+        assert len(shot.check()) == wrong and shot.last_round == number
 
 
 PLAN = """

@@ -137,6 +137,7 @@ marks = { usd = "a.usda", prim = "/a", frames = [1, 2], use = ["position"], tole
 [vehicle.edit]
 usd = "b.usda"
 prim = "/a"
+round = 1
 
 [[vehicle]]
 name = "simulated"

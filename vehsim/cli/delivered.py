@@ -68,18 +68,24 @@ def _edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Prog
         name = report["shot"]
         data = report["solved"]["shot"] if source is None else read_toml(source)[0]
         vehicles = {vehicle["name"]: vehicle for vehicle in data["vehicle"]}
+        if source is not None:
+            _add_edits(vehicles, report["solved"]["shot"]["vehicle"], folder, delivery)
     before = Shot.from_dict(data, folder, str(source or delivery / "report.json"))
     if not edit.is_file():
         raise InputError("no such file", "give the stage with the edited curves", key="--edit", value=str(edit))
+    _check_new(before, edit)
+    number, earlier = before.last_round + 1, {table.name: len(table.edits) for table in before.file.vehicle}
     found = prims_in(edit, {vehicle: f"/{name}/vehicles/{vehicle}" for vehicle in vehicles})
     for vehicle, prim in found.items():
-        vehicles[vehicle]["edit"] = {"usd": os.path.relpath(edit, folder), "prim": prim}
+        own: dict[str, Any] = {"usd": os.path.relpath(edit, folder), "prim": prim}
+        own |= {} if number == earlier[vehicle] + 1 else {"round": number}
+        vehicles[vehicle]["edit"] = [*_edits_in(vehicles[vehicle]), own]
     edited = Shot.from_dict(data, folder, before.source)
     errors = [problem for problem in edited.check() if problem.severity == "error"]
     refused = {int(match[1]) for error in errors if (match := EDIT.match(error.key))}
     for table in [edited.file.vehicle[i] for i in sorted(refused)]:  # not asked for: its motion stays
         if _as_delivered(delivery, name, table.name, edit, found[table.name], edited.vehicle(table).rig, edited.fps):
-            del found[table.name], vehicles[table.name]["edit"]
+            del found[table.name], vehicles[table.name]["edit"][-1]
     if refused and found:
         edited = Shot.from_dict(data, folder, before.source)
         errors = [problem for problem in edited.check() if problem.severity == "error"]
@@ -90,6 +96,39 @@ def _edited_shot(delivery: Path, edit: Path, source: Path | None, progress: Prog
         _check_same(delivery, name, vehicle, clips[vehicle])
     _warn_of_others(delivery, name, edit, found)
     return edited
+
+
+def _add_edits(
+    vehicles: Mapping[str, dict[str, Any]], delivered: list[dict[str, Any]], folder: Path, delivery: Path
+) -> None:
+    """Add to ``vehicles`` of a shot file in ``folder`` the edits that it lacks but the ``delivered`` motion has."""
+    edits = {table["name"]: _edits_in(table) for table in delivered}
+    for name, table in vehicles.items():
+        own = _edits_in(table)
+        for edit in edits.get(name, [])[len(own) :]:  # its path counts from where the delivery was made
+            places = [base / Path(edit["usd"]).expanduser() for base in (folder, Path(), *delivery.resolve().parents)]
+            found = next((place for place in places if place.is_file()), places[0])
+            own.append({**edit, "usd": os.path.relpath(found, folder)})
+        if own:
+            table["edit"] = own
+
+
+def _edits_in(table: Mapping[str, Any]) -> list[Any]:
+    """The edits of a vehicle, of which there may be one table or several."""
+    edits = table.get("edit") or []
+    return [*edits] if isinstance(edits, list) else [edits]
+
+
+def _check_new(before: Shot, edit: Path) -> None:
+    """Raise ``InputError`` if an earlier retouch was made from the same file: its edit is lost then."""
+    for table in before.file.vehicle:
+        if any(edit.resolve() == earlier.path(before.folder).resolve() for earlier in table.edits.values()):
+            raise InputError(
+                f"the delivery was retouched from this file before, so that edit of {table.name} must stay in it",
+                "save the new edit under another name, and the earlier one in this file again",
+                key="--edit",
+                value=str(edit),
+            )
 
 
 def prims_in(edit: Path, wanted: dict[str, str]) -> dict[str, str]:
@@ -168,9 +207,11 @@ def _warn_of_others(delivery: Path, name: str, edit: Path, found: Mapping[str, s
 
 
 def summary(take: Take) -> Iterator[str]:
-    """What became of the edit of each vehicle, in words."""
-    for name, report in take.report["vehicles"].items():
-        if "edit" in report:
+    """What became of the edit of each vehicle in the last round, in words."""
+    vehicles = take.report["vehicles"]
+    last = max((report["edit"]["round"] for report in vehicles.values() if "edit" in report), default=0)
+    for name, report in vehicles.items():
+        if "edit" in report and report["edit"]["round"] == last:
             edit = report["edit"]
             touched = ", ".join(f"{first} to {last}" for first, last in edit["touched"])
             again = ", ".join(f"{first} to {last}" for first, last in edit["solved_again"])

@@ -36,6 +36,7 @@ from vehsim.shot.cuts import check_cuts
 from vehsim.shot.follow_through import hold, rests
 from vehsim.shot.handles import carry_on
 from vehsim.shot.motions.blocking import blocking_of
+from vehsim.shot.motions.edit import check_edits
 from vehsim.shot.motions.state import is_planar
 from vehsim.shot.overrides import apply_overrides
 from vehsim.shot.schema.shot_file import ShotFile, VehicleTable, parse
@@ -128,8 +129,8 @@ class Shot:
         for blocking in self.blockings().values():
             yield from dependencies(blocking.path)[0]
         for table in self.file.vehicle:
-            if table.edited is not None:
-                yield from dependencies(table.edited.path(self.folder))[0]
+            for edit in table.edits.values():
+                yield from dependencies(edit.path(self.folder))[0]
 
     def only(self, names: Sequence[str]) -> Shot:
         """The shot with only these vehicles; cameras whose target is missing look at the first of them."""
@@ -396,8 +397,7 @@ class Shot:
         found = [*check_afloat(vehicle, world), *check_trailer(vehicle, world)]
         from vehsim.shot.motions.simulate import ForwardMotion
 
-        if table.edited is not None:
-            found += table.edited.check(vehicle, self._context, isinstance(table.motion, ForwardMotion))
+        found += check_edits(table, vehicle, self._context, isinstance(table.motion, ForwardMotion))
         if isinstance(table.motion, ForwardMotion):
             others = [other.name for other in self.file.vehicle if other is not table]
             things = {obstacle.name for obstacle in world.obstacles} | set(others)
@@ -472,8 +472,12 @@ class Shot:
         return motion, recalled
 
     def _solved_or_retouched(self, progress: Progress, cached: bool = True) -> SolvedMotion:
-        """The solved motion; where an animator edited it, the nearest motion that the vehicle can make."""
-        edited = [table for table in self.file.vehicle if table.edited is not None]
+        """The solved motion; where an animator edited it, the nearest motion that the vehicle can make.
+
+        A later round edits the motion of all vehicles that the earlier ones lead to, as it was delivered.
+        """
+        last = self.last_round
+        edited = [table for table in self.file.vehicle if last in table.edits]
         if not edited:
             return self._solve_vehicles(progress)
         clips, reports = self.unedited()._motion(progress, cached)[0]
@@ -485,7 +489,6 @@ class Shot:
                 for table in edited
             }
         for table in edited:
-            assert table.edited is not None
             name = table.name
 
             def report(what: str, done: float, name: str = name) -> None:
@@ -493,14 +496,20 @@ class Shot:
 
             context = replace(self._context, world=self.world_of(name, clips))
             options = table.motion.options() if hasattr(table.motion, "options") else {}
-            clips[name], reports[name] = table.edited.retouch(
-                name, clips[name], delivered[name], reports[name], options, context, report, self.usd.curves
+            clips[name], reports[name] = table.edits[last].retouch(
+                name, clips[name], delivered[name], reports[name], options, context, report, self.usd.curves, last
             )
         return clips, reports
 
+    @property
+    def last_round(self) -> int:
+        """The number of the last round of edits; zero without edits."""
+        return max((number for table in self.file.vehicle for number in table.edits), default=0)
+
     def unedited(self) -> Shot:
-        """The shot with the motion that was edited."""
-        vehicles = [table.unedited for table in self.file.vehicle]
+        """The shot with the motion that was edited last."""
+        last = self.last_round
+        vehicles = [table.without_last_edit if last in table.edits else table for table in self.file.vehicle]
         shot = Shot(self.file.model_copy(update={"vehicle": vehicles}), self.folder, self.source, self._lines)
         vars(shot).update(world=self.world, _vehicles=self._vehicles)
         return shot.without(self.left_out)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from vehsim.errors import InputError, Problem, SolveError
 from vehsim.shot.checks import Context
@@ -21,10 +23,13 @@ if TYPE_CHECKING:
     from vehsim.rig.blocking import Blocking
     from vehsim.rig.edited import Moved
     from vehsim.runtime.progress import Progress
+    from vehsim.shot.schema.shot_file import VehicleTable
     from vehsim.vehicles import Vehicle
 
 NAMED = 3
 """Number of misses that a warning names."""
+MAX_ROUNDS = 1000
+"""Largest number of a round: each vehicle may have its own."""
 
 
 class EditTable(Table):
@@ -34,6 +39,9 @@ class EditTable(Table):
     """a USD stage in which the vehicle's delivered motion was edited, relative to the shot file"""
     prim: Text
     """the path of the vehicle's prim in it, such as /shot/vehicles/heli"""
+    round: Annotated[int, Field(ge=1, le=MAX_ROUNDS)] | None = None
+    """when it is applied: it starts from the motion that the edits of lower rounds give, of this vehicle and others;
+    default: 1 for a vehicle's first edit, 2 for its second ..."""
 
     def read(self, vehicle: Vehicle, context: Context) -> Blocking:
         """The edited motion of the vehicle's root. Raises ``InputError``."""
@@ -74,8 +82,9 @@ class EditTable(Table):
         context: Context,
         progress: Progress,
         curves: tuple[float, float | None] | None = None,
+        number: int = 1,
     ) -> tuple[Clip, dict[str, Any]]:
-        """The retouched clip and its report, from those of the solved motion.
+        """The retouched clip and its report, from those of the solved motion, or of the round before ``number``.
 
         ``delivered``: that motion on all frames of the shot, through its handles.
         Marks that the edit touches are no longer required; the others still are. ``curves``: how far the delivered
@@ -116,12 +125,14 @@ class EditTable(Table):
         for ask in marks:
             if any(ask["first"] <= last and ask["last"] >= first for first, last in made.touched):
                 ask["severity"] = "warning"
-        _warn(name, made, _beyond(edited, clip, delivered), clip)
-        _warn_of_parts(name, parts)
+        of = name if number == 1 else f"{name}, round {number}"  # the warnings of earlier rounds are repeated
+        _warn(of, made, _beyond(edited, clip, delivered), clip)
+        _warn_of_parts(of, parts)
         if made.beyond:
             character = report.get("character", "its character")
-            warnings.warn(f"{name}: retouched; beyond {character}: {'; '.join(made.beyond)}", stacklevel=2)
+            warnings.warn(f"{of}: retouched; beyond {character}: {'; '.join(made.beyond)}", stacklevel=2)
         details = {
+            "round": number,
             "touched": made.touched,
             "solved_again": made.windows,
             "kept_within": made.kept,
@@ -130,6 +141,9 @@ class EditTable(Table):
             "beyond": made.beyond,
             "parts": [asdict(part) for part in parts],
         }
+        if (earlier := report.get("edit")) is not None:
+            before = [*earlier.get("earlier", []), {key: earlier[key] for key in earlier if key != "earlier"}]
+            details["earlier"] = before
         return made.clip, {**report, "asks": asks, "edit": details}
 
     def _parts_moved(
@@ -147,6 +161,18 @@ class EditTable(Table):
         rate = float(context.fps)
         loose = None if curves is None else curve_tolerances(clip.vehicle.rig, *curves)
         return parts_moved(edited.path, edited.prim, clip.vehicle.rig, channels, frames, rate, loose)
+
+
+def check_edits(table: VehicleTable, vehicle: Vehicle, context: Context, simulated: bool) -> Iterator[Problem]:
+    """Problems with the edits of a vehicle, with keys relative to its table. ``simulated``: as in `EditTable.check`."""
+    marks, edits, given = getattr(table.motion, "marks", None), table.edits, len(table.edit)
+    if len(edits) < given + bool(marks and marks.edit) or any(b <= a for a, b in pairwise(edits)):
+        yield Problem("edit", "their rounds do not rise", "leave round out, or give each edit a higher one")
+        return
+    for i, edit in enumerate(edits.values(), given - len(edits)):
+        for problem in edit.check(vehicle, context, simulated):
+            key = f"edit[{i}]" if given > 1 and i >= 0 else "edit"
+            yield replace(problem, key=key + problem.key.removeprefix("edit"))
 
 
 def _warn_of_parts(name: str, parts: Sequence[Moved]) -> None:

@@ -38,10 +38,11 @@ SCHEMA_LINE = f"#:schema ./{SCHEMA_FILE}"
 MAX_VEHICLES = 100
 MAX_CUTS = 1000
 MAX_NOTES = 1000
+MAX_EDITS = 50
 
 
 def _one_or_several(value: Any) -> Any:
-    """``[camera]`` becomes a list of one ``[[camera]]``."""
+    """``[camera]`` becomes a list of one ``[[camera]]``, and so does ``[vehicle.edit]``."""
     return [value] if isinstance(value, dict) else value
 
 
@@ -64,23 +65,27 @@ class VehicleTable(Table):
     """a table of numbers in place of those of its vehicle.toml, in SI units, such as { mass = 1500 }"""
     motion: MotionTable
     """a table [vehicle.motion] with method = "plan", "simulate", "sticks", "integrate", "sinusoid" or "clip\""""
-    edit: EditTable | None = None
-    """a table [vehicle.edit]: curves of the delivered motion that an animator changed"""
+    edit: Annotated[list[EditTable], BeforeValidator(_one_or_several), Array, Len(0, MAX_EDITS)] = Field(default=[])
+    """a table [vehicle.edit], or several [[vehicle.edit]], each an edit of the motion that the earlier ones give:
+    curves of the delivered motion that an animator changed"""
 
     @property
-    def edited(self) -> EditTable | None:
-        """The edit of its motion, from either table."""
+    def edits(self) -> dict[int, EditTable]:
+        """The edits of its motion from either table, by their rounds."""
         marks = getattr(self.motion, "marks", None)
-        return EditTable(usd=marks.usd, prim=marks.prim) if self.edit is None and marks and marks.edit else self.edit
+        edits = [EditTable(usd=marks.usd, prim=marks.prim)] if marks and marks.edit else []
+        return {edit.round or place: edit for place, edit in enumerate([*edits, *self.edit], 1)}
 
     @property
-    def unedited(self) -> VehicleTable:
-        """The same vehicle with the motion that was edited."""
+    def without_last_edit(self) -> VehicleTable:
+        """The same vehicle with the motion that was edited last."""
         motion = self.motion
+        if self.edit:
+            return self.model_copy(update={"edit": self.edit[:-1]})
         if (marks := getattr(motion, "marks", None)) and marks.edit:
             kept = None if getattr(motion, "mark", None) else marks.model_copy(update={"edit": False})
             motion = motion.model_copy(update={"marks": kept})
-        return self.model_copy(update={"edit": None, "motion": motion})
+        return self.model_copy(update={"motion": motion})
 
 
 class ShotFile(Table):
@@ -111,16 +116,22 @@ class ShotFile(Table):
 def schema() -> dict[str, Any]:
     """The JSON schema of a shot file, for editors."""
     shape = _shape()
-    cameras = shape["properties"]["camera"]
-    several = {"anyOf": [cameras["items"], cameras], "description": cameras["description"]}
+    vehicle = shape["$defs"]["VehicleTable"]
+    vehicles = {**vehicle, "properties": _also_single(vehicle["properties"], "edit")}
     head = {"$schema": DIALECT, "$id": "urn:vehsim:shot:1", "title": "vehsim shot file"}
-    properties = {**shape["properties"], "camera": several}
-    return {**head, **shape, "title": head["title"], "properties": properties}
+    shape = {**shape, "$defs": {**shape["$defs"], "VehicleTable": vehicles}}
+    return {**head, **shape, "title": head["title"], "properties": _also_single(shape["properties"], "camera")}
+
+
+def _also_single(properties: dict[str, Any], key: str) -> dict[str, Any]:
+    """The properties of a table in which a list of tables may also be one table."""
+    several = properties[key]
+    return {**properties, key: {"anyOf": [several["items"], several], "description": several["description"]}}
 
 
 @cache
 def _shape() -> dict[str, Any]:
-    """The schema for validation, in which ``[camera]`` is already a list."""
+    """The schema for validation, in which ``[camera]`` and ``[vehicle.edit]`` are already lists."""
     return ShotFile.model_json_schema(by_alias=True)
 
 
