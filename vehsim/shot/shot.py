@@ -11,6 +11,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +37,6 @@ from vehsim.shot.cuts import check_cuts
 from vehsim.shot.follow_through import hold, rests
 from vehsim.shot.handles import carry_on
 from vehsim.shot.motions.blocking import blocking_of
-from vehsim.shot.motions.edit import check_edits
 from vehsim.shot.motions.state import is_planar
 from vehsim.shot.overrides import apply_overrides
 from vehsim.shot.schema.shot_file import ShotFile, VehicleTable, parse
@@ -397,7 +397,7 @@ class Shot:
         found = [*check_afloat(vehicle, world), *check_trailer(vehicle, world)]
         from vehsim.shot.motions.simulate import ForwardMotion
 
-        found += check_edits(table, vehicle, self._context, isinstance(table.motion, ForwardMotion))
+        found += self._check_edits(table, isinstance(table.motion, ForwardMotion))
         if isinstance(table.motion, ForwardMotion):
             others = [other.name for other in self.file.vehicle if other is not table]
             things = {obstacle.name for obstacle in world.obstacles} | set(others)
@@ -411,6 +411,18 @@ class Shot:
         if world.water is None and vehicle.hull is not None:
             message = f"{table.name} moves level in the plane, and pictures show no water"
             yield Problem("world.water", message, "add [world.water]", severity="warning")
+
+    def _check_edits(self, table: VehicleTable, simulated: bool) -> Iterator[Problem]:
+        """Problems with the edits of a vehicle, with keys relative to its table. ``simulated``: as in
+        `EditTable.check`."""
+        marks, edits, given = getattr(table.motion, "marks", None), table.edits, len(table.edit)
+        if len(edits) < given + bool(marks and marks.edit) or any(b <= a for a, b in pairwise(edits)):
+            yield Problem("edit", "their rounds do not rise", "leave round out, or give each edit a higher one")
+            return
+        for i, edit in enumerate(edits.values(), given - len(edits)):
+            for problem in edit.check(self.vehicle(table), self._context, simulated):
+                key = f"edit[{i}]" if given > 1 and i >= 0 else "edit"
+                yield replace(problem, key=key + problem.key.removeprefix("edit"))
 
     def _check_header(self) -> Iterator[Problem]:
         header = self.file.shot

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
-from itertools import pairwise
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from vehsim.rig.blocking import Blocking
     from vehsim.rig.edited import Moved
     from vehsim.runtime.progress import Progress
-    from vehsim.shot.schema.shot_file import VehicleTable
     from vehsim.vehicles import Vehicle
 
 NAMED = 3
@@ -161,18 +159,6 @@ class EditTable(Table):
         rate = float(context.fps)
         loose = None if curves is None else curve_tolerances(clip.vehicle.rig, *curves)
         return parts_moved(edited.path, edited.prim, clip.vehicle.rig, channels, frames, rate, loose)
-
-
-def check_edits(table: VehicleTable, vehicle: Vehicle, context: Context, simulated: bool) -> Iterator[Problem]:
-    """Problems with the edits of a vehicle, with keys relative to its table. ``simulated``: as in `EditTable.check`."""
-    marks, edits, given = getattr(table.motion, "marks", None), table.edits, len(table.edit)
-    if len(edits) < given + bool(marks and marks.edit) or any(b <= a for a, b in pairwise(edits)):
-        yield Problem("edit", "their rounds do not rise", "leave round out, or give each edit a higher one")
-        return
-    for i, edit in enumerate(edits.values(), given - len(edits)):
-        for problem in edit.check(vehicle, context, simulated):
-            key = f"edit[{i}]" if given > 1 and i >= 0 else "edit"
-            yield replace(problem, key=key + problem.key.removeprefix("edit"))
 
 
 def _warn_of_parts(name: str, parts: Sequence[Moved]) -> None:
