@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -180,8 +181,10 @@ def within(points, motion, more=0.0):
     return ((points > lower - more) & (points < lower + size + more)).all(axis=-1)
 
 
-@pytest.mark.parametrize("motion", BLOCKS)
-@pytest.mark.parametrize("rig", ["chase", "follow", "orbit", "dolly"])
+@pytest.mark.parametrize(
+    ("rig", "motion"),  # no straight rail has a view of a target that circles a block
+    [pair for pair in product(("chase", "follow", "orbit", "dolly"), BLOCKS) if pair != ("dolly", "circle")],
+)
 def test_camera_sees_its_target_past_obstacles(rig, motion):
     clip, (centre, size) = MOTIONS[motion], BLOCKS[motion]
     world = World(obstacles=[box("block", (*centre, 24.0), size)])
@@ -281,6 +284,56 @@ def test_an_unplaced_camera_stands_on_the_open_side_of_a_wall(rig, side):
     world = World(obstacles=[box("wall", *wall)])
     camera = solve_camera(CameraRig(rig=rig), {"cube": clip}, world, (1001, 1121), ASPECT)
     assert (camera.positions[:, 1] * side < 4.0).all() and hidden_frames(camera, clip, *wall) == 0
+
+
+def fills(camera, clip):
+    """Share (n,) of the picture's height that the cube occupies."""
+    return np.ptp(on_screen(camera, clip)[..., 1], axis=1) / 2
+
+
+def round_a_bend():
+    """It goes 14 m round a bend, and hovers at the end of it."""
+    t = np.clip(np.linspace(-0.2, 1.6, 300), 0, 1)
+    t = t**2 * (3 - 2 * t)
+    return clip_along(np.stack([14 * t, 5 * np.sin(np.pi * t), 10 + 0 * t], 1), 0.3 - 0.8 * t)
+
+
+@pytest.mark.parametrize("beside", [-4.0, 4.0])
+def test_a_crane_rises_steadily_beside_a_chimney(beside):
+    """It rose to look over a chimney that hid its target for a moment, and sank again."""
+    clip, chimney = MOTIONS["straight"], ((42.0, beside, 0.0), (1.5, 1.5, 36.0))
+    world = World(obstacles=[box("chimney", *chimney)])
+    camera = solve_camera(CameraRig(rig="crane"), {"cube": clip}, world, (1001, 1121), ASPECT)
+    away = np.linalg.norm(camera.positions - clip.positions, axis=1).min()
+    rise = np.diff(camera.positions[:, 2])
+    assert (rise >= 0).all() and 0 < rise.max() < 0.03 * away and np.ptp(camera.positions[:, :2], axis=0).max() < 1e-9
+    assert hidden_frames(camera, clip, *chimney) == 0
+
+
+@pytest.mark.parametrize(("azimuth", "usual"), [(None, 0.27), (20.0, 0.17)])
+def test_a_crane_is_as_near_as_the_whole_way_of_its_target_allows(azimuth, usual):
+    """Of the distances that it tried in turn, one was too near, the next one several times too far; and it stood where
+    its target came too near."""
+    clip = round_a_bend()
+    camera = solve_camera(CameraRig(rig="crane", azimuth=azimuth), {"cube": clip}, World(), (1001, 1300), ASPECT)
+    seen = fills(camera, clip)
+    assert np.median(seen) > usual and seen.min() > 0.15 and seen.max() < 0.36
+
+
+def test_an_unplaced_dolly_rides_where_a_house_does_not_hide_wheels():
+    """It rode behind the house: its line of sight to the target's middle passed over the roof."""
+    t = np.linspace(0, 1, 240)
+    clip = clip_along(np.stack([40 * t, 0 * t, 0 * t], 1), 0.0)
+    houses = [((20.0, 8.0, 0.0), (14.0, 6.0, 2.6)), ((20.0, -8.0, 0.0), (14.0, 6.0, 2.2))]
+    world = World("flat", obstacles=[box(f"house{k}", *each) for k, each in enumerate(houses)])
+    camera = solve_camera(CameraRig(rig="dolly"), {"cube": clip}, world, (1001, 1240), ASPECT)
+    low = replace(clip, positions=clip.positions - (0.0, 0.0, 0.8))  # whose middle is 0.2 m above the ground
+    assert sum(hidden_frames(camera, low, *each) for each in houses) == 0
+    rail = camera.positions[-1] - camera.positions[0]
+    off = np.cross(camera.positions - camera.positions[0], rail) / np.linalg.norm(rail)
+    assert np.abs(off).max() < 1e-6 and np.linalg.norm(rail) > 38, "straight, as long as the way"
+    lead = (camera.positions - clip.positions) @ rail / np.linalg.norm(rail)
+    assert np.ptp(lead) < 2.0, "it keeps pace"
 
 
 def test_cameras_avoid_parked_vehicles_like_obstacles():

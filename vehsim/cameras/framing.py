@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from vehsim.cameras.path import (
     buried_in,
     calm,
     envelope,
+    hidden,
     in_rock,
     raise_camera,
     smooth,
@@ -51,6 +52,15 @@ SIDES = np.array([0.0, 180.0, 60.0, -60.0, 120.0, -120.0])
 STEP_ASIDE = 0.02
 """Cost of a camera on the opposite side: the mean length of obstructions in front of the target that it outweighs,
 relative to the camera's distance."""
+HIDDEN = 0.5
+"""Cost of a target that obstacles hide all the time, on the same scale: a pole is thin, and hides what is behind it."""
+LIFTS, STEP_UP = (0.0, 0.2, 0.4), 0.05
+"""How much higher such a camera may be, and the cost of 1, relative to its distance."""
+NEAREST, TOO_NEAR = 0.6, 0.2
+"""The share of its distance to which the target may come, and the cost where it comes twice as near: the whole shot
+would be taken from farther away."""
+SPREAD = 16
+"""Points at which a target may be hidden."""
 STILL = 0.05
 """Largest movement of a parked vehicle, m."""
 OUTLINE = 2000
@@ -78,9 +88,9 @@ def solve_camera(
     level = move.level if rig.level is None else rig.level
     around = Surroundings.of(world, _parked(clips, rig.target or next(iter(clips)), every))
     ups = np.broadcast_to((0.0, 0.0, 1.0), subject.centre.shape) if level else subject.matrices[:, :3, 2]
+    too_near, too_far = 0.0, np.inf
     for _ in range(5 if framed else 1):
-        placed = _on_the_open_side(rig, move, subject, distance, around)
-        positions, aims = move.place(placed, subject, distance, around)
+        positions, aims = _placed(rig, move, subject, distance, around)
         back = np.ones(len(positions))
         if move.guided and np.ptp(positions, axis=0).max() > 0:  # a standing camera was given its place
             positions = steer(positions, aims, around, rig.margin, subject.size / 2, subject.fps, move.behind)
@@ -88,15 +98,19 @@ def solve_camera(
                 back = _back_off(positions, aims, subject, zoom)
                 positions = aims + (positions - aims) * back[:, None]
         if move.fill is not None:
-            positions = raise_camera(positions, aims, around, rig.margin, subject.fps)
+            positions = raise_camera(positions, aims, around, rig.margin, subject.fps, not move.guided)
             apart = float(np.linalg.norm(positions - aims, axis=1).mean())
-            positions = calm(positions, aims, around, rig.margin, subject.fps, JERK * apart)
+            positions = calm(positions, aims, around, rig.margin, subject.fps, JERK * apart, not move.guided)
         rotations = look_at(positions, aims, ups)
         if rig.framing is not None:
             rotations = _framed(rotations, rig.framing, aperture, rig.lens_mm, ups)
         if framed:
             fills = projected_heights(positions, rotations, subject.upright, zoom)
-            distance *= _rescale(fills, back, rig.fill, move.fill)
+            factor = _rescale(fills, back, rig.fill, move.fill)
+            too_near, too_far = (distance, too_far) if factor > 1 else (too_near, distance)
+            distance *= factor
+            if too_near < too_far and not too_near <= distance <= too_far:  # it would go to and fro between the two
+                distance = np.sqrt(too_near * too_far)
     if (buried := in_rock(positions, around)).any():
         warnings.warn(
             f"camera {rig.name!r} is inside the rock at frame {every[buried.argmax()]:g}; give it another place, "
@@ -164,19 +178,37 @@ def _back_off(positions: Array, aims: Array, subject: Subject, zoom: float) -> A
 # ---------------------------------------------------------------- what all cameras share
 
 
-def _on_the_open_side(rig: CameraRig, move: Move, subject: Subject, distance: float, around: Surroundings) -> CameraRig:
-    """A still rig, placed where least hides the target, preferably on its own side; the shot may place it instead."""
-    placed = rig.azimuth is not None or rig.position is not None
-    if move.side is None or placed or (around.terrain is None and not around.standing):
-        return rig
-    options = move.side(subject, distance) + SIDES
+def _placed(rig: CameraRig, move: Move, subject: Subject, distance: float, around: Surroundings) -> tuple[Array, Array]:
+    """Desired places and aims (n, 3). A still rig is placed where least hides the target and the target does not come
+    too near, preferably on its own side, and raised only where that shows more; the shot may place it instead."""
+    if move.side is None or rig.azimuth is not None or rig.position is not None:
+        return move.place(rig, subject, distance, around)
+    best, least = move.place(rig, subject, distance, around), np.inf
+    own = move.side(subject, distance)
+    targets = _spread(subject)
+    some = slice(None, None, max(1, round(subject.fps / 4)))
+    for aside, lift in product(SIDES, LIFTS if around.standing and rig.height is None else LIFTS[:1]):
+        at = rig if aside == 0 else replace(rig, azimuth=float(own + aside))
+        positions, aims = move.place(at, subject, distance, around)
+        positions = positions + np.array((0.0, 0.0, lift * distance))
+        nearest = float(np.linalg.norm(positions - aims, axis=1).min())
+        cost = (
+            float(blocked(positions, aims, around, rig.margin, subject.size / 2).mean()) / distance
+            + HIDDEN * float(hidden(positions[some], targets[some], around).mean())
+            + TOO_NEAR * max(0.0, NEAREST * distance / max(nearest, 1e-9) - 1.0)
+            + STEP_ASIDE * abs(aside) / 180.0
+            + STEP_UP * lift
+        )
+        if cost < least:
+            best, least = (positions, aims), cost
+    return best
 
-    def hidden(azimuth: float) -> float:
-        places = move.place(replace(rig, azimuth=azimuth), subject, distance, around)
-        return float(blocked(*places, around, rig.margin, subject.size / 2).mean())
 
-    costs = [hidden(azimuth) / distance for azimuth in options.tolist()] + STEP_ASIDE * np.abs(SIDES) / 180.0
-    return replace(rig, azimuth=float(options[costs.argmin()])) if costs.argmin() else rig
+def _spread(subject: Subject) -> Array:
+    """Points (n, k, 3) all over the target, a little inside its outline."""
+    places = np.unique((subject.outline @ _all_around(SPREAD).T).argmax(axis=0))
+    middle = subject.corners.mean(axis=1, keepdims=True)
+    return middle + 0.8 * (subject.corners[:, places] - middle)
 
 
 def _parked(clips: Mapping[str, Clip], target: str, frames: Array) -> tuple[Parked, ...]:

@@ -94,14 +94,15 @@ def steer(
     return calm + _moved(positions - calm, path[:, 0], path[:, 1], path[:, 2])
 
 
-def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: float) -> Array:
+def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: float, mounted: bool = False) -> Array:
     """Raise the camera, ahead of time, until it sees its aim and keeps ``margin`` m from the ground.
 
-    A camera at a fixed place is raised permanently, and over the ground only.
+    A camera that is ``mounted``, at a fixed place or on a rail or crane, is raised permanently, which keeps its path
+    straight and its rise smooth, and over the ground only.
     """
     sight = _sight(positions, aims)
     # its line of sight rises less than the camera
-    still = np.ptp(positions, axis=0).max() < 1e-9
+    still = mounted or np.ptp(positions, axis=0).max() < 1e-9
     need = (_ground(sight, world, 0.5 * margin, still) - sight[..., 2]) / (1.0 - SIGHT)
     need[:, 0] = _ground(sight[:, 0], world, margin, still) + margin - sight[:, 0, 2]
     need = need.max(axis=1)
@@ -112,14 +113,16 @@ def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: 
     return positions + raised[:, None] * (0.0, 0.0, 1.0)
 
 
-def calm(positions: Array, aims: Array, world: Any, margin: float, fps: float, limit: float) -> Array:
+def calm(
+    positions: Array, aims: Array, world: Any, margin: float, fps: float, limit: float, mounted: bool = False
+) -> Array:
     """The path (n, 3) smoothed only until its jerk (m/s^3) is below ``limit``, and still above the ground; it does not
     cut corners through rock."""
     path = positions
     for sigma in (0.15, 0.25, 0.4, 0.6, 0.9, 1.3):
         if jerk(path, fps) <= limit:
             break
-        calmer = raise_camera(smooth(positions, sigma * fps), aims, world, margin, fps)
+        calmer = raise_camera(smooth(positions, sigma * fps), aims, world, margin, fps, mounted)
         if in_rock(calmer, world).sum() > in_rock(path, world).sum():
             break
         path = calmer
@@ -232,6 +235,13 @@ def blocked(positions: Array, aims: Array, world: Any, margin: float, radius: fl
         reach = np.linalg.norm(ray, axis=-1)
         total += reach * (2 * THROUGH * hidden.mean(axis=-1) + BURIED * (hidden[..., 0] + CRAMPED * cramped))
     return total
+
+
+def hidden(positions: Array, points: Array, world: Any) -> Array:
+    """Share (n,) of a target's ``points`` (n, k, 3) that obstacles hide from ``positions`` (n, 3)."""
+    if not _standing(world):
+        return np.zeros(len(positions))
+    return np.asarray((_through_obstacles(positions[:, None], points, world, 0.0) > 1e-3).mean(axis=1))
 
 
 def _sight(positions: Array, aims: Array) -> Array:

@@ -29,9 +29,9 @@ class Move:
     """The behaviour of a rig. ``place``: (rig, subject, distance, world) -> positions and aims (n, 3).
 
     ``fill``: reduces the fills of all frames to one for the whole shot; None: the rig's distance is fixed. ``guided``:
-    may move around obstructions; ``level``: keeps a level horizon; ``behind``: keeps its side of the target, and is
-    raised over the ground rather than moved around; ``side``: for rigs at a fixed place: (subject, distance) -> the
-    default azimuth, degrees.
+    may move around obstructions and over obstacles; ``level``: keeps a level horizon; ``behind``: keeps its side of the
+    target, and is raised over the ground rather than moved around; ``side``: for rigs at a fixed place: (subject,
+    distance) -> the default azimuth, degrees.
     """
 
     place: Callable[[CameraRig, Subject, float, Any], tuple[Array, Array]]
@@ -110,15 +110,17 @@ def _fly_by(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tu
 
 
 def _dolly(rig: CameraRig, subject: Subject, distance: float, world: Any) -> tuple[Array, Array]:
-    """Rides a straight rail abreast of the target, from ``position`` to ``to``."""
+    """Rides a straight rail beside the target, from ``position`` to ``to``."""
     path = smooth(subject.centre, 0.5 * subject.fps)
     if rig.position is not None and rig.to is not None:
         ends = np.array([rig.position, rig.to], float)
+        begin = ends[0]
     else:
         side = _abreast(subject, distance) if rig.azimuth is None else rig.azimuth
         ends = path[[0, -1]] + _arm(np.radians([side]), distance, rig.height)
+        begin = path[0]  # it looks obliquely at other sides: ahead of the target or behind it, all along the rail
     rail = ends[1] - ends[0]
-    along = np.clip((path - ends[0]) @ rail / max(float(rail @ rail), 1e-9), 0.0, 1.0)
+    along = np.clip((path - begin) @ rail / max(float(rail @ rail), 1e-9), 0.0, 1.0)
     return ends[0] + smooth(along, 0.4 * subject.fps)[:, None] * rail, path
 
 
