@@ -21,11 +21,15 @@ from numpy.typing import NDArray
 from vehsim.cameras.camera import Camera, CameraRig, Subject
 from vehsim.cameras.path import (
     Parked,
+    Passing,
     Surroundings,
+    all_around,
     blocked,
     buried_in,
     calm,
+    crowded,
     envelope,
+    goes_through,
     hidden,
     in_rock,
     raise_camera,
@@ -61,6 +65,8 @@ NEAREST, TOO_NEAR = 0.6, 0.2
 would be taken from farther away."""
 SPREAD = 16
 """Points at which a target may be hidden."""
+UNSEEN = 0.25
+"""How long obstacles may hide most of a target without a warning, s: a post passes through the picture."""
 STILL = 0.05
 """Largest movement of a parked vehicle, m."""
 OUTLINE = 2000
@@ -86,7 +92,7 @@ def solve_camera(
     distance = rig.distance or subject.size / (2 * rig.fill)
     zoom = rig.lens_mm / aperture[1]
     level = move.level if rig.level is None else rig.level
-    around = Surroundings.of(world, _parked(clips, rig.target or next(iter(clips)), every))
+    around = Surroundings.of(world, *_others(clips, world, rig.target or next(iter(clips)), every))
     ups = np.broadcast_to((0.0, 0.0, 1.0), subject.centre.shape) if level else subject.matrices[:, :3, 2]
     too_near, too_far = 0.0, np.inf
     for _ in range(5 if framed else 1):
@@ -121,6 +127,18 @@ def solve_camera(
         warnings.warn(
             f"camera {rig.name!r}: position = {list(rig.position)} is {where}, and the camera "
             f"{'stays there' if np.allclose(positions[0], rig.position) else 'was raised'}; give it another place",
+            stacklevel=2,
+        )
+    elif move.fill is not None and (through := goes_through(positions, around)):
+        warnings.warn(
+            f"camera {rig.name!r} goes through {through[1]} at frame {every[through[0]]:g}; give it another place, "
+            "distance, height or azimuth",
+            stacklevel=2,
+        )
+    elif (unseen := _unseen(rig, move, positions, subject, around)).sum() > UNSEEN * subject.fps:
+        warnings.warn(
+            f"camera {rig.name!r}: obstacles hide most of its target in {unseen.sum()} of {len(every)} frames, first "
+            f"in {every[unseen.argmax()]:g}; give it another place, distance, height or azimuth",
             stacklevel=2,
         )
     elif around.terrain is not None or getattr(world, "water", None) is not None:
@@ -195,6 +213,7 @@ def _placed(rig: CameraRig, move: Move, subject: Subject, distance: float, aroun
         cost = (
             float(blocked(positions, aims, around, rig.margin, subject.size / 2).mean()) / distance
             + HIDDEN * float(hidden(positions[some], targets[some], around).mean())
+            + HIDDEN * float(crowded(positions, around, 0.5 * rig.margin).any())
             + TOO_NEAR * max(0.0, NEAREST * distance / max(nearest, 1e-9) - 1.0)
             + STEP_ASIDE * abs(aside) / 180.0
             + STEP_UP * lift
@@ -204,17 +223,33 @@ def _placed(rig: CameraRig, move: Move, subject: Subject, distance: float, aroun
     return best
 
 
+def _unseen(rig: CameraRig, move: Move, positions: Array, subject: Subject, around: Surroundings) -> NDArray[np.bool_]:
+    """On which frames (n,) obstacles hide most of the target, of a camera that looks at it."""
+    if move.fill is None or rig.look_at is not None:
+        return np.zeros(len(positions), bool)
+    return hidden(positions, _spread(subject), around) > 0.5
+
+
 def _spread(subject: Subject) -> Array:
     """Points (n, k, 3) all over the target, a little inside its outline."""
-    places = np.unique((subject.outline @ _all_around(SPREAD).T).argmax(axis=0))
+    places = np.unique((subject.outline @ all_around(SPREAD).T).argmax(axis=0))
     middle = subject.corners.mean(axis=1, keepdims=True)
     return middle + 0.8 * (subject.corners[:, places] - middle)
 
 
-def _parked(clips: Mapping[str, Clip], target: str, frames: Array) -> tuple[Parked, ...]:
-    """The other vehicles that stand still on ``frames``: they may hide the target."""
-    others = [_subject(clip, frames) for name, clip in clips.items() if name != target]
-    return tuple(Parked((s.corners[0],)) for s in others if np.ptp(s.corners, axis=0).max() < STILL)
+def _others(
+    clips: Mapping[str, Clip], world: Any, target: str, frames: Array
+) -> tuple[tuple[Parked, ...], tuple[Passing, ...]]:
+    """The other vehicles: those that stand still on ``frames`` may hide the target, cameras keep clear of the rest."""
+    everyone = {**{one.name: one.clip for one in getattr(world, "moving", ())}, **clips}
+    others = {name: _subject(clip, frames) for name, clip in everyone.items() if name != target}
+    still = {name for name, s in others.items() if np.ptp(s.corners, axis=0).max() < STILL}
+    parked = tuple(Parked((s.corners[0],)) for name, s in others.items() if name in still)
+    moving = {name: s for name, s in others.items() if name not in still}
+    passing = tuple(
+        Passing(name, np.asarray(np.linalg.inv(s.matrices), float), s.outline) for name, s in moving.items()
+    )
+    return parked, passing
 
 
 def _rescale(fills: Array, back: Array, wanted: float, measure: Any = np.median) -> float:
@@ -278,16 +313,10 @@ def _outline(asset: Path, root: str | None, written: Stamp) -> Array:
 
         corners = points[ConvexHull(points, qhull_options="QJ").vertices]
         if len(corners) > OUTLINE:
-            corners = corners[np.unique((corners @ _all_around(OUTLINE).T).argmax(axis=0))]
+            corners = corners[np.unique((corners @ all_around(OUTLINE).T).argmax(axis=0))]
         return [corners]
 
     return kept_arrays("outline-2", [points], hull)[0]
-
-
-def _all_around(count: int) -> Array:
-    """Evenly spread directions (count, 3): a spiral from pole to pole that turns by the golden angle."""
-    turn, height = np.arange(count) * np.pi * (3 - np.sqrt(5)), 1 - (2 * np.arange(count) + 1) / count
-    return np.column_stack([np.cos(turn), np.sin(turn), height]) * np.sqrt(1 - height**2)[:, None] ** [1, 1, 0]
 
 
 def _check(rig: CameraRig, clips: Mapping[str, Clip]) -> None:

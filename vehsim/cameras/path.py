@@ -5,7 +5,7 @@ This module finds the camera's path past terrain and standing obstacles; `framin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -52,6 +52,10 @@ CLIMB = 1.2
 raise is then about the largest that a camera may have."""
 JUMP, LEAP = np.radians(40.0), 1e5
 """Largest turn around the target in a quarter second among rock, and the cost of a larger one."""
+CROWDED = 2.0
+"""Weight of a metre that a camera lacks to a moving vehicle, in metres of the ground's mean depth along the sight."""
+FACES = 200
+"""Faces of the shape around a moving vehicle."""
 CRAMPED = 0.3
 """Weight of rock at all of them, relative to that of a camera inside the rock."""
 RAISES = np.linspace(0.0, 1.2, 25)
@@ -72,26 +76,37 @@ def steer(
     keys = np.unique(np.append(np.arange(0, count, step), count - 1))
     turns = SIDESTEPS[:5] if behind else SIDESTEPS
     rocky = _rock(world) is not None
-    turns = np.append(turns, ROUND) if _standing(world) or rocky else turns
+    met = crowded(positions, world, 0.5 * margin).any()
+    turns = np.append(turns, ROUND) if _standing(world) or rocky or met else turns
     turns = np.append(turns, BACK) if rocky else turns
     choices = np.array(list(product(turns, SCALES, LOWER * rocky + LIFTS + HIGHER * behind)))
     moves = np.stack([_moved(positions[keys] - aims[keys], *choice) for choice in choices], axis=1)
-    hidden = blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
+    obstructed = blocked(aims[keys][:, None] + moves, aims[keys][:, None], world, margin, radius)
+    if met:
+        obstructed += CROWDED * _met(positions, aims, choices, keys, world, margin)
     reach = np.linalg.norm(positions - aims, axis=1).mean()
     departure = (
         ((ASIDE if behind else 1.0) * choices[:, 0]) ** 2 + (2 * (1 - choices[:, 1])) ** 2 + (2 * choices[:, 2]) ** 2
     )
-    if behind and _standing(world):
+    if behind and (_standing(world) or met):
         # without this, it is cheaper to keep a small deviation for seconds than to give it up: right among ridges,
         # which follow each other, but not behind a roof
         departure += HOME * (np.abs(choices - (0.0, 1.0, 0.0)) / CHANGE).sum(axis=1)
     # among rock, a way round the target leads through every angle, each with its own cost
     jump = JUMP if rocky else np.inf
-    chosen = _cheapest(hidden / reach * 400.0 + departure, choices / CHANGE, jump / CHANGE[0])
+    chosen = _cheapest(obstructed / reach * 400.0 + departure, choices / CHANGE, jump / CHANGE[0])
     path = np.array([np.interp(np.arange(count), keys, choices[chosen, k]) for k in range(3)])
     path = smooth(path.T, 0.35 * fps)
     calm = smooth(aims, 0.5 * fps)
     return calm + _moved(positions - calm, path[:, 0], path[:, 1], path[:, 2])
+
+
+def _met(positions: Array, aims: Array, choices: Array, keys: Array, world: Any, margin: float) -> Array:
+    """What each of the ``choices`` (m, 3) lacks (k, m) of half the ``margin`` to moving vehicles, around each key: a
+    vehicle that meets the camera passes it between two of them."""
+    lacking = np.stack([crowded(aims + _moved(positions - aims, *c), world, 0.5 * margin) for c in choices], axis=1)
+    reach = int(np.diff(keys, append=keys[-1] + 1).max())
+    return np.stack([lacking[max(0, key - reach) : key + reach + 1].max(axis=0) for key in keys])
 
 
 def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: float, mounted: bool = False) -> Array:
@@ -108,7 +123,7 @@ def raise_camera(positions: Array, aims: Array, world: Any, margin: float, fps: 
     need = need.max(axis=1)
     need = np.maximum(np.where(np.isfinite(need), need, 0.0), 0.0)
     raised = np.full(len(need), need.max()) if still else envelope(need, fps)
-    if not still and _standing(world):
+    if not still and (_standing(world) or crowded(positions, world, 0.5 * margin).any()):
         raised = raised + _held(_over_obstacles(positions, aims, world, margin), _arch(CLIMB * fps))
     return positions + raised[:, None] * (0.0, 0.0, 1.0)
 
@@ -195,20 +210,55 @@ class Parked:
     hulls: tuple[Array, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """A vehicle that moves: it may hide a target, but no camera goes through it. ``T_rw`` (n, 4, 4) on each frame;
+    ``outline`` (k, 3) m in the root frame."""
+
+    name: str
+    T_rw: Array
+    outline: Array
+
+    def lacking(self, positions: Array, room: float) -> Array:
+        """What is missing (n, ...) m of ``room`` m between ``positions`` (n, ..., 3) and a convex shape around it."""
+        T_rw = self.T_rw.reshape(len(self.T_rw), *[1] * (positions.ndim - 2), 4, 4)
+        away = (T_rw[..., :3, :3] @ positions[..., None])[..., 0] + T_rw[..., :3, 3]
+        apart = np.linalg.norm(away, axis=-1) - np.linalg.norm(self.outline, axis=1).max()
+        near = apart < room
+        around = np.vstack([all_around(FACES), np.eye(3), -np.eye(3)])  # exact along its axes: most are like boxes
+        apart[near] = (away[near] @ around.T - (self.outline @ around.T).max(axis=0)).max(axis=-1)
+        return np.asarray(np.maximum(room - apart, 0.0))
+
+    def inside(self, positions: Array) -> NDArray[np.bool_]:
+        """Which ``positions`` (n, 3) are inside that shape."""
+        return np.asarray(self.lacking(positions, 0.0) > 0)
+
+
 @dataclass(frozen=True)
 class Surroundings:
-    """Objects that may hide a target: the ground and all standing obstacles, including vehicles."""
+    """Objects that may hide a target: the ground and all standing obstacles, including vehicles. And those that
+    move, which only keep cameras ``clear``."""
 
     terrain: Any
     height: Callable[[Array], Any]
     standing: tuple[Obstacle | Parked, ...]
     levels: Levels | None = None
+    passing: tuple[Passing, ...] = ()
 
     @staticmethod
-    def of(world: Any, parked: tuple[Parked, ...]) -> Surroundings:
+    def of(world: Any, parked: tuple[Parked, ...], passing: tuple[Passing, ...] = ()) -> Surroundings:
         rock = _rock(world)
         levels = None if rock is None else Levels(rock)
-        return Surroundings(getattr(world, "terrain", world), world.height, (*_standing(world), *parked), levels)
+        standing = (*_standing(world), *parked)
+        return Surroundings(getattr(world, "terrain", world), world.height, standing, levels, passing)
+
+
+def crowded(positions: Array, world: Any, room: float) -> Array:
+    """What is missing (n, ...) m of ``room`` m between ``positions`` (n, ..., 3) on each frame and moving vehicles."""
+    lacking = np.zeros(positions.shape[:-1])
+    for vehicle in getattr(world, "passing", ()):
+        np.maximum(lacking, vehicle.lacking(positions, room), out=lacking)
+    return lacking
 
 
 def blocked(positions: Array, aims: Array, world: Any, margin: float, radius: float) -> Array:
@@ -249,12 +299,14 @@ def _sight(positions: Array, aims: Array) -> Array:
 
 
 def _over_obstacles(positions: Array, aims: Array, world: Any, margin: float) -> Array:
-    """The smallest raise (n,) m of each camera with a clear view past every obstacle; 0 if there is none."""
+    """The smallest raise (n,) m of each camera with a clear view past every obstacle and room for moving vehicles; 0 if
+    there is none."""
     apart = np.linalg.norm(aims - positions, axis=1)[:, None]
 
     def free(raises: Array) -> Any:
         raised = positions[:, None] + (apart * raises)[..., None] * (0.0, 0.0, 1.0)
-        return _through_obstacles(raised, aims[:, None], world, margin) <= 0.0
+        clear = crowded(raised, world, 0.5 * margin) <= 0.0
+        return (_through_obstacles(raised, aims[:, None], world, margin) <= 0.0) & clear
 
     enough = RAISES[free(np.tile(RAISES, (len(apart), 1))).argmax(axis=1)][:, None]
     short = np.maximum(enough - RAISES[1], 0.0)
@@ -301,6 +353,13 @@ def _solids(obstacle: Obstacle | Parked) -> list[tuple[Array, float, Array]]:
     return list(zip(centres, radii, planes, strict=True))
 
 
+@lru_cache(maxsize=4)
+def all_around(count: int) -> Array:
+    """Evenly spread directions (count, 3): a spiral from pole to pole that turns by the golden angle."""
+    turn, height = np.arange(count) * np.pi * (3 - np.sqrt(5)), 1 - (2 * np.arange(count) + 1) / count
+    return np.column_stack([np.cos(turn), np.sin(turn), height]) * np.sqrt(1 - height**2)[:, None] ** [1, 1, 0]
+
+
 def _standing(world: Any) -> tuple[Obstacle | Parked, ...]:
     return getattr(world, "standing", ())
 
@@ -324,13 +383,28 @@ def buried_in(place: Sequence[float], world: Any) -> str:
         return "inside the rock"
     if _rock(world) is None and (deep := float(_ground(point, world, 0.0)[0] - point[0, 2])) > 0:
         return f"{deep:.3g} m below the ground"
+    return next((f"inside the obstacle {obstacle.name!r}" for obstacle, _ in _entered(point, world)), "")
+
+
+def goes_through(positions: Array, world: Any) -> tuple[int, str] | None:
+    """When a camera's path (n, 3) is first inside an obstacle or a moving vehicle: the frame's index, and in which."""
+    found = [(int(inside.argmax()), f"the obstacle {o.name!r}") for o, inside in _entered(positions, world)]
+    for vehicle in getattr(world, "passing", ()):
+        if (inside := vehicle.inside(positions)).any():
+            found.append((int(inside.argmax()), f"the vehicle {vehicle.name!r}"))
+    return min(found, default=None)
+
+
+def _entered(positions: Array, world: Any) -> Iterator[tuple[Obstacle, NDArray[np.bool_]]]:
+    """The standing obstacles that ``positions`` (n, 3) are inside of, and which of them; a camera may be aboard a
+    parked vehicle."""
     for obstacle in _standing(world):
-        if isinstance(obstacle, Parked):  # a camera may be aboard
+        if isinstance(obstacle, Parked):
             continue
-        for _, _, planes in _solids(obstacle):
-            if (point @ planes[:, :3].T + planes[:, 3]).max() < 0:
-                return f"inside the obstacle {obstacle.name!r}"
-    return ""
+        faces = (planes for _, _, planes in _solids(obstacle))
+        inside = np.any([(positions @ each[:, :3].T + each[:, 3]).max(axis=1) < 0 for each in faces], axis=0)
+        if np.any(inside):
+            yield obstacle, inside
 
 
 def _ground(points: Array, world: Any, margin: float, plain: bool = False) -> Array:
