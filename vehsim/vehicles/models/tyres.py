@@ -125,7 +125,8 @@ class Tyre:
 
     @property
     def peak(self) -> float:
-        """Greatest force over load in any direction."""
+        """Greatest force over load along or across the wheel; slipping both ways, a tyre gives up to 5 % more on
+        asphalt, and 21 % on ice."""
         return self.friction * max(self.longitudinal[1], self.lateral[1])
 
     def check(self, mass_height: float, nearest: float, fate: str, name: str) -> None:
