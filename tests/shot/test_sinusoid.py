@@ -130,6 +130,20 @@ def test_speed_is_limited_where_legs_join():
     assert np.abs(np.diff(speed) / np.diff(clip.times)).max() < 5.0  # m/s^2; it was 23
 
 
+def test_a_hopper_keeps_clear_of_obstacles_but_not_of_the_ground():
+    """With an obstacle anywhere, it failed because it stands on the ground."""
+    marks = [
+        {"frame": 1001, "position": [0, 0, 0.9]},
+        {"frame": "free", "position": [3, 0, 0.9], "pitch": 360, "joints": {"psi": -2 * np.pi}},
+    ]
+    cone = {"shape": "cone", "centre": [2, 1.5, 0]}
+    data = shot("hopper", *marks, obstacles=[cone])
+    data["world"]["terrain"] = "flat"
+    take = Shot.from_dict(data).solve()
+    (row,) = (row for row in take.report["audit"]["v"] if row["key"] == "clearance")
+    assert row["met"] and row["value"] > 0.09
+
+
 def test_a_moving_obstacle_is_waited_for():
     """A car crosses the bay for ten seconds: at the suggested frame it has gone."""
     crossing = {

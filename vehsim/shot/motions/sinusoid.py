@@ -243,7 +243,7 @@ class SinusoidMotion(Table):
         }
         yield from limit_asks(first, frame, limits, {}, {})
         if context.world.obstacles:
-            yield clearance_ask(first, frame, self.clearance, planar=planar)
+            yield clearance_ask(first, frame, self.clearance, planar=True)  # not from the ground, which it hops off
 
     def _in_time(
         self, vehicle: Vehicle, context: Context, progress: Progress
