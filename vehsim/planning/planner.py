@@ -54,7 +54,7 @@ from vehsim.planning.refine import ORDER, ends_elsewhere, largest_error, settle_
 from vehsim.planning.request.asks import BEYOND, ROOM, asks_of, beyond_character
 from vehsim.planning.request.character import NO_TRAITS, Traits
 from vehsim.planning.request.landing import landings
-from vehsim.planning.request.legs import facing, same_choices, turned_round
+from vehsim.planning.request.legs import facing, moved_far, same_choices
 from vehsim.planning.request.marks import Mark, shape
 from vehsim.planning.request.marks_near_obstacles import facing_clear, straightened, with_trailers_straight
 from vehsim.planning.request.request import Request, all_marks, make_request
@@ -199,10 +199,11 @@ class Plan:
         request = replace(before, marks=all_marks(marks, before.vehicle, before.world, before.terms), deadline=math.inf)
         given = before.given or before.marks
         fresh = replace(request, given=())
-        if not self.success or shape(request.marks) != shape(given) or request.weighed is not before.weighed:
-            return _solve(fresh, progress, self.clip)
-        if turned_round(replace(before, marks=list(given)).stops, request.stops):
+        same = shape(request.marks) == shape(given)
+        if same and moved_far(replace(before, marks=list(given)).stops, request.stops):
             return _solve(fresh, progress, None)
+        if not same or not self.success or request.weighed is not before.weighed:
+            return _solve(fresh, progress, self.clip)
         faced = replace(request, given=request.marks, marks=same_choices(request.marks, given, before.marks))
         run = Run(faced, progress, self._run.solvers)
         iterate = _in_traits(run, solve(run, at_marks(self._iterate, faced, self._iterate.cover)), faced)

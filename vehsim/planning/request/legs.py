@@ -17,6 +17,9 @@ from vehsim.planning.request.marks import Mark, given_frames, heading_of
 Array = NDArray[np.float64]
 OVAL, ROUND = 0.25, 0.5
 """Half the widths of a loop past a single mark, relative to its length: of an oval and of a circle."""
+FAR = 0.5
+"""Change of a leg, relative to its length, above which its motion leads to a worse one at the new marks than a fresh
+guess, and more slowly."""
 
 
 def facing(marks: Sequence[Mark], paths: Sequence[Array], aimed: Callable[[Mark], bool]) -> list[Mark]:
@@ -49,13 +52,14 @@ def same_choices(marks: Sequence[Mark], given: Sequence[Mark], chosen: Sequence[
     ]
 
 
-def turned_round(before: Sequence[Mark], after: Sequence[Mark]) -> bool:
-    """Whether a leg or a heading turned by more than 90 degrees from marks to others of the same shape."""
-    legs = zip(legs_between(before), legs_between(after), strict=True)
-    back = any(np.dot(np.subtract(*old), np.subtract(*new)) < 0 for old, new in legs)
+def moved_far(before: Sequence[Mark], after: Sequence[Mark]) -> bool:
+    """Whether a leg changed by more than `FAR`, or a heading by more than 90 degrees, from marks to others of the same
+    shape."""
+    legs = [[np.subtract(*leg) for leg in legs_between(marks)] for marks in (before, after)]
+    far = any(np.linalg.norm(new - old) > FAR * np.linalg.norm(old) for old, new in zip(*legs, strict=True))
     noses = [[heading_of(mark) for mark in marks] for marks in (before, after)]
     pairs = [pair for pair in zip(*noses, strict=True) if None not in pair]
-    return back or any(math.cos(old - new) < 0 for old, new in pairs)
+    return far or any(math.cos(old - new) < 0 for old, new in pairs)
 
 
 def _bearing(path: Array) -> Array:
