@@ -31,8 +31,8 @@ sideways, relative to its length."""
 MEASURED = 4
 """Maximum number of times that the distances of the vehicle's surface are measured before a motion is found."""
 WAITS, GLANCE = (1.0, 1.3, 1.7), Patience(60, early=0.5)
-"""Factors on the durations of free legs of a motion that meets moving obstacles at other times than its guess, and how
-long each of these is solved."""
+"""Factors on the durations of the last free legs of a motion that meets moving obstacles at other times than its guess,
+and how long each of these is solved."""
 FEWEST, LEAST = 4, 16
 """Below `FEWEST` segments, a leg has fewer controls than two marks at rest need; a plan that fails on so few per leg is
 tried on `LEAST` per leg."""
@@ -81,10 +81,13 @@ def at_their_times(run: Run, timed: Iterate) -> Iterate:
     if not free or obstacles is None or not any(obstacle.moves for obstacle, _ in obstacles.parts):
         return timed
     settled = solve(run, on_frames(timed), GLANCE)
-    for wait in WAITS:
+    last = max(i for i, mark in enumerate(request.marks) if mark.given_frame is not None)
+    later = np.arange(len(timed.layout.legs)) >= last  # the others have to end at a given frame
+    for wait in WAITS if later.any() else WAITS[:1]:
         if settled.success or run.deadline.late:
             break
-        durations = whole_frames(wait * timed.lengths * np.array(timed.layout.legs), request.marks, request.fps)
+        seconds = np.where(later, wait, 1.0) * timed.lengths * np.array(timed.layout.legs)
+        durations = whole_frames(seconds, request.marks, request.fps)
         frames = int(request.marks[0].frame) + np.rint(np.cumsum(durations) * float(request.fps)).astype(int)
         marks = [replace(mark, frame=int(frame)) for mark, frame in zip(request.marks[1:], frames, strict=True)]
         given = replace(request, marks=[request.marks[0], *marks])
