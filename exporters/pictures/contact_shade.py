@@ -29,8 +29,8 @@ MARGIN = 0.5
 FINER, LAYERS = 300, 3
 """Most cells along an obstacle's longest side, and cells of its height if these suffice: a kerb is long and low."""
 TALL = 1.5
-"""How far up an obstacle hides the sky, and around it, relative to its height and its longest side: little is hidden by
-what is higher or farther."""
+"""How far around itself an obstacle hides the sky, relative to its height, and up to which height, relative to its
+longest side: beyond these, little is hidden."""
 INSTANTS = 17
 """Number of frames at which it is found which parts of a vehicle move sideways."""
 RINGS, SPOKES = 4, 12
@@ -140,10 +140,8 @@ class Shades:
             points = np.concatenate([shape.points for shape in shapes])
             T_wr: Array = np.eye(4)
             T_wr[:3, 3] = (points.min(axis=0) + points.max(axis=0)) / 2
-            self.standing[path], self._parts[path] = (
-                T_wr,
-                [(np.asarray(np.linalg.inv(T_wr)), shape) for shape in shapes],
-            )
+            T_rw = np.asarray(np.linalg.inv(T_wr))
+            self.standing[path], self._parts[path] = T_wr, [(T_rw, shape) for shape in shapes]
             self.bodies.append(path)
         self._of_shape: dict[bytes, Shade] = {}
         self._shades: dict[str, Shade | None] = {}

@@ -241,7 +241,7 @@ def backwards(request: Request, paths: Sequence[Array]) -> list[Array]:
     A leg that is too early for a vehicle that turns round first may be possible in reverse.
     """
     moving = [path_length(path) > 1e-6 for path in paths]
-    if not _noses_ahead(request.vehicle) or not any(moving) or any(path.shape[1] > 3 for path in paths):
+    if not _turns(request.vehicle) or not any(moving) or any(path.shape[1] > 3 for path in paths):
         return []
     poses, heading = [], _tail_first(paths[moving.index(True)])[0]
     for path, moves in zip(paths, moving, strict=True):
@@ -260,10 +260,10 @@ def turnings(request: Request, paths: Sequence[Array]) -> list[list[Array]]:
     circle.
     """
     along, vehicle = _along_legs(request), request.vehicle
-    if not ((along < AWAY).any() or _doubles_back(request)):
+    if not _turns(vehicle) or not ((along < AWAY).any() or _doubles_back(request)):
         return []
     if slides(vehicle):
-        return [round_trip(request.stops, ROUND)] if vehicle.group.planar and request.loop and len(along) == 2 else []
+        return [round_trip(request.stops, ROUND)] if request.loop and len(along) == 2 else []
     radius, back = turning_radius(vehicle), straight(request)
     if radius == 0 or swims(vehicle):
         others = [shuttling(request)]
@@ -275,9 +275,7 @@ def turnings(request: Request, paths: Sequence[Array]) -> list[list[Array]]:
 
 def shuttling(request: Request) -> list[Array]:
     """Straight poses (2, 4) of a vehicle that goes tail first along each leg that leads back and is not long; none if
-    there is no such leg, or if it need not go nose first."""
-    if not _noses_ahead(request.vehicle):
-        return []
+    there is no such leg."""
     noses = [heading_of(mark) for mark in request.stops]
     poses, nose, backs = [], noses[0], False
     for (start, end), after in zip(legs_between(request.stops), noses[1:], strict=True):
@@ -349,13 +347,13 @@ def _approach(mark: Mark, length: float) -> Array:
     return way * length / max(float(np.linalg.norm(way)), 1e-9)
 
 
-def _noses_ahead(vehicle: Vehicle) -> bool:
-    """Whether a vehicle in the plane goes nose first or tail first."""
+def _turns(vehicle: Vehicle) -> bool:
+    """Whether a vehicle moves in the plane and has a turning circle, or turns on the spot."""
     return vehicle.group.planar and math.isfinite(turning_radius(vehicle))
 
 
 def _drives(vehicle: Vehicle) -> bool:
-    return _noses_ahead(vehicle) and not swims(vehicle)
+    return _turns(vehicle) and not swims(vehicle)
 
 
 def _tail_first(path: Array) -> Array:
