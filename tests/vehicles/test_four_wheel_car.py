@@ -252,11 +252,11 @@ def test_a_tyre_that_leans_pushes_to_that_side(lean):
 
 @pytest.mark.parametrize(("slip", "angle", "lean"), [(-0.05, 0.02, 0.03), (0.1, -0.04, -0.02), (0.02, 0.0, 0.0)])
 def test_longitudinal_slip_pushes_sideways(slip, angle, lean):
-    """Pacejka's eq. 4.E65 and 4.E66, on gravel too; nothing without slip."""
+    """Pacejka's eq. 4.E65 and 4.E66, at slips over the friction as his section 4.2 has it; nothing without slip."""
     numbers = (LONGITUDINAL, LATERAL, WEIGHTS_LONGITUDINAL, WEIGHTS_LATERAL, 0.7, 1.0)
     plain, pushed = Tyre(*numbers), Tyre(*numbers, slip_push=(0.028, -0.28))
-    expected = 0.7 * LATERAL[1] * (0.028 - 0.28 * lean) * math.cos(math.atan(12.12 * angle))
-    expected *= math.sin(1.9 * math.atan(-10.704 * slip))
+    expected = 0.7 * LATERAL[1] * (0.028 - 0.28 * lean) * math.cos(math.atan(12.12 * angle / 0.7))
+    expected *= math.sin(1.9 * math.atan(-10.704 * slip / 0.7))
     along, aside = np.ravel(ca.DM(pushed.force(slip, angle, lean) - plain.force(slip, angle, lean)))
     assert along == 0 and aside == pytest.approx(expected, rel=1e-9)
     assert np.ravel(ca.DM(pushed.force(0.0, angle, lean) - plain.force(0.0, angle, lean)))[1] == pytest.approx(

@@ -163,14 +163,16 @@ def test_a_tyre_at_rest_is_a_damper():
     assert np.allclose(slope, expected * (1 + math.sqrt(1 + 0.05**2)) / 2)
 
 
-def test_no_tyre_pushes_along_its_own_slip_or_beyond_its_peak():
+@pytest.mark.parametrize("name", SURFACES)
+def test_no_tyre_pushes_along_its_own_slip_or_beyond_its_peak(name):
+    tyre = TYRE.on(name)
     random = np.random.default_rng(1)
     speed, angle = random.uniform(0, 30, 4000), random.uniform(-np.pi, np.pi, 4000)
     velocity, rim = speed * np.array([np.cos(angle), np.sin(angle)]), random.uniform(-40, 40, 4000)
-    force = np.array(law(TYRE).map(4000)(velocity, rim)[0])
+    force = np.array(law(tyre).map(4000)(velocity, rim)[0])
     assert (force[0] * (rim - velocity[0])).min() >= 0
     assert (force[1] * -velocity[1]).min() >= 0
-    assert np.linalg.norm(force, axis=0).max() < 1.1 * TYRE.peak
+    assert np.linalg.norm(force, axis=0).max() < 1.06 * tyre.peak
 
 
 def start_and_stop(drive_front):
@@ -229,6 +231,18 @@ def test_a_surface_changes_peak_and_slope_of_the_tyre_force(name):
     assert along.max() == pytest.approx(weight * SURFACES[name].friction * 1.1739, rel=1e-3)
     slope = float(force(1e-6)) / 1e-6
     assert slope == pytest.approx(weight * SURFACES[name].stiffness * 22.303, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_surfaces_are_similar(name):
+    """The greatest force in every direction, and how it falls with slip in the other, are those of asphalt times the
+    friction."""
+    surface, tyre = SURFACES[name], TYRE.on(name)
+    for slip, angle in np.random.default_rng(3).uniform(-0.3, 0.3, (40, 2)):
+        along, aside = tyre_forces(-slip, angle, surface.friction, False)
+        stretch = surface.friction / surface.stiffness
+        force = np.ravel(ca.DM(tyre.force(slip * stretch, angle * stretch)))
+        assert force == pytest.approx([along, aside], abs=0.004 * surface.friction)
 
 
 BURCKHARDT = {"asphalt": (1.2801, 23.99, 0.52), "wet asphalt": (0.857, 33.822, 0.347), "snow": (0.1946, 94.129, 0.0646),

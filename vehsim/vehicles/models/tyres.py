@@ -46,6 +46,8 @@ CONTROLS = (
     Control("steering_rate", unit="1/s"),
 )
 """The controls of a car whose tyres slip."""
+SLIPS = ("1", "rad")
+"""Units of longitudinal slip and slip angle."""
 LEAST = 1e-4
 """Force over weight with which a car without brakes holds itself on a slope."""
 BRAKING = 1.0
@@ -96,18 +98,23 @@ class Tyre:
         return (rim - velocity[0]) / pace, ca.atan(velocity[1] / pace)
 
     def force(self, slip: Expr, angle: Expr, lean: Expr = 0.0) -> Expr:
-        """Force over load (2,), forward and left in the wheel's axes; ``lean``: to its right, rad."""
-        shift_side, shift, push_side, push, peak = self.camber
+        """Force over load (2,), forward and left in the wheel's axes; ``lean``: to its right, rad.
+
+        Surfaces are similar (TIRE section 4.2): the force is the friction times that of the tyre's own coefficients, at
+        slips that differ by the stiffness over the friction.
+        """
+        shift_side, shift, push_side, push, wane = self.camber
         side = lean / ca.sqrt(lean**2 + LEANING**2)
         turned, thrust = angle + shift_side * side + shift * lean, push_side * side + push * lean
-        along = self._pure(slip, self.longitudinal) * _weight(angle, slip, self.weights_longitudinal)
-        pure = self._pure(turned, self.lateral, 1 - peak * lean**2) - thrust
-        aside = pure * _weight(slip, angle, self.weights_lateral)
+        slip, angle, turned = (self.stiffness / self.friction * x for x in (slip, angle, turned))
+        along = _pure(slip, self.longitudinal) * _weight(angle, slip, self.weights_longitudinal)
+        grip = 1 - wane * lean**2
+        aside = (_pure(turned, self.lateral, grip) - thrust) * _weight(slip, angle, self.weights_lateral)
         if any(self.slip_push):
             (always, leaning), (narrowing, shape, slope) = self.slip_push, PUSHED
-            most = self.friction * self.lateral[1] * (1 - peak * lean**2) * (always + leaning * lean)
+            most = self.lateral[1] * grip * (always + leaning * lean)
             aside -= most * ca.cos(ca.atan(narrowing * angle)) * ca.sin(shape * ca.atan(slope * slip))
-        return ca.vertcat(along, -aside)
+        return self.friction * ca.vertcat(along, -aside)
 
     def standing(self, pull: Expr, brakes: Expr, speed: Expr, slide: Expr) -> Expr:
         """What standing tyres bear of a ``pull`` (2,) forward and left: all of it to the side, and along the car what
@@ -125,8 +132,8 @@ class Tyre:
 
     @property
     def peak(self) -> float:
-        """Greatest force over load along or across the wheel; slipping both ways, a tyre gives up to 5 % more on
-        asphalt, and 21 % on ice."""
+        """Greatest force over load along or across the wheel; slipping both ways, `drift_car`'s tyre gives up to 5 %
+        more."""
         return self.friction * max(self.longitudinal[1], self.lateral[1])
 
     def check(self, mass_height: float, nearest: float, fate: str, name: str) -> None:
@@ -136,10 +143,11 @@ class Tyre:
             message = f"the grip of {self.peak:.3g} would {fate} {nearest:g} m from the centre of mass"
             raise InputError(message, "lower it", key="physics.mass_height", value=mass_height, subject=name)
 
-    def _pure(self, slip: Expr, coefficients: Sequence[float], grip: Expr = 1.0) -> Expr:
-        shape, peak, curvature, stiffness = coefficients
-        most, slope = self.friction * peak * grip, self.stiffness * stiffness
-        return most * ca.sin(shape * _bent(slope / (shape * most) * slip, curvature))
+
+def _pure(slip: Expr, coefficients: Sequence[float], grip: Expr = 1.0) -> Expr:
+    shape, peak, curvature, stiffness = coefficients
+    most = peak * grip
+    return most * ca.sin(shape * _bent(stiffness / (shape * most) * slip, curvature))
 
 
 def _weight(other: Expr, own: Expr, coefficients: Sequence[float]) -> Expr:
