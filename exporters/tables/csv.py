@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vehsim.delivery.exporters import Exporter
 from vehsim.delivery.take import Take
 from vehsim.runtime.progress import Progress
+from vehsim.world.ground.placing import PLACED
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -45,11 +46,12 @@ def columns(clip: Clip) -> dict[str, Array]:
     table |= {f"world.orientation.{axis}": values for axis, values in zip("wxyz", clip.orientations.T, strict=True)}
     table |= dict(zip(_twist_names(clip.twists.shape[1]), clip.twists.T, strict=True))
     for joint, values, rates in zip(clip.vehicle.joints, clip.joints.T, clip.joint_rates.T, strict=False):
-        table |= {f"joint.{joint} [rad]": values, f"joint_rate.{joint} [rad/s]": rates}
+        unit = clip.vehicle.joint_units.get(joint, "rad")
+        table |= {f"joint.{joint}{_in(unit)}": values, f"joint_rate.{joint}{_in(f'{unit}/s')}": rates}
     for channel, values in clip.channels.items():
-        table[f"channel.{channel} [{_channel_unit(clip, channel)}]"] = values
+        table[f"channel.{channel}{_in(_channel_unit(clip, channel))}"] = values
     for control, values in zip(clip.vehicle.controls, clip.controls.T, strict=False):
-        unit = f" [{control.unit}]" if control.unit else ""
+        unit = _in(control.unit)
         table[f"control.{control.name}{unit}"] = values
         if control.name in clip.commands:
             table[f"command.{control.name}{unit}"] = clip.commands[control.name]
@@ -65,8 +67,18 @@ def _twist_names(size: int) -> list[str]:
 
 
 def _channel_unit(clip: Clip, channel: str) -> str:
+    """The unit of a channel of the model, of a part that moves, or of what stands on the ground."""
+    model = clip.vehicle.channels.get(channel)
     drive = clip.vehicle.rig.drives.get(channel) if clip.vehicle.rig else None
-    return "m" if drive and drive.op.startswith("translate") else "rad"
+    if model and model.unit:
+        return model.unit
+    if drive:
+        return "m" if drive.op.startswith("translate") else "rad"
+    return next((unit for start, unit in PLACED.items() if channel.startswith(start)), "rad")
+
+
+def _in(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
 
 
 def _text(value: float) -> str:

@@ -9,10 +9,11 @@ import json
 import numpy as np
 import pytest
 
+import vehsim
 from vehsim.errors import ExportError
 from vehsim.exporters.pictures import film, frames
 from vehsim.exporters.pictures.contact_sheet import write_contact_sheet
-from vehsim.exporters.tables.csv import write_csv
+from vehsim.exporters.tables.csv import columns, write_csv
 from vehsim.exporters.tables.report import write_report
 from vehsim.exporters.usd import exporter as usd
 
@@ -106,6 +107,32 @@ def test_a_table_has_a_row_per_frame_and_reads_back_exactly(tmp_path, toys, make
     assert [float(row["channel.rotor [rad]"]) for row in rows] == clip.resample().channels["rotor"].tolist()
     assert "control.lift [N]" in rows[0]
     assert [float(row["body.velocity.x [m/s]"]) for row in rows] == clip.resample().twists[:, -3].tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "units"),
+    [
+        (
+            "car",
+            {
+                "joint.psi [rad]",
+                "joint.sigma [1]",
+                "joint_rate.sigma [1/s]",
+                "channel.travel_fl [m]",
+                "channel.heave [m]",
+                "channel.pitch [rad]",
+                "channel.load_rr [N]",
+            },
+        ),
+        ("drift_car", {"channel.slip_rl [m/s]", "channel.slip_ratio_rl [1]", "channel.load_rl [N]"}),
+        ("rally_car", {"joint.heave [m]", "joint_rate.heave [m/s]", "channel.slip_angle_fr [rad]"}),
+        ("hopper", {"joint.stretch [m]", "joint_rate.stretch [m/s]", "channel.half_stretch [m]"}),
+        ("truck", {"joint.hitch_1 [rad]", "channel.roll_fl [rad]"}),
+    ],
+)
+def test_tables_name_the_unit_of_each_column(name, units):
+    clip = vehsim.simulate(vehsim.load_vehicle(name), vehsim.World(terrain="flat"), duration=0.1)
+    assert units <= columns(clip).keys()
 
 
 def test_the_report_is_the_same_every_time_and_plain_json(tmp_path, toys, make_take):

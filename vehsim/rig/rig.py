@@ -21,11 +21,12 @@ class Channel:
 
     Exactly one of ``value`` and ``rate`` is given. Both are functions of ``(t, r, u, xi, c)``: time [s], joints (s,),
     joint rates (s,), body twist (d,) and controls (c,). They return CasADi expressions. A ``rate`` is integrated along
-    the clip, so its channel is unwrapped.
+    the clip, so its channel is unwrapped. ``unit``: "1" for a pure number; default: that of the op which it drives.
     """
 
     value: Callable[..., Any] | None = None
     rate: Callable[..., Any] | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)

@@ -99,6 +99,8 @@ class Definition:
     the springs of its rig move it on a terrain, see `vehsim.world.ground`."""
     channels: Mapping[str, Channel] = field(default_factory=dict)
     joint_limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joint_units: Mapping[str, str] = field(default_factory=dict)
+    """Units of joints by name, "1" for a pure number; default: rad."""
     default_costs: Mapping[str, float] = field(default_factory=dict)
     """Cost weights that every plan of this vehicle adds, so that it moves as such vehicles do."""
     character: Character = field(default_factory=Character)

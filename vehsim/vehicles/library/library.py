@@ -190,6 +190,7 @@ def _load(path: Path, written: tuple[Stamp, ...], parameters: str) -> Vehicle:
     settings: dict[str, Any] = {
         "controls": _controls(path, vehicle, data.get("controls", {}), data.get("actuators", {})),
         "joint_limits": _limits(path, vehicle, data.get("joints", {})),
+        "joint_units": {name: row["unit"] for name, row in data.get("joints", {}).items() if row.get("unit")},
         "character": _character(path, vehicle, data.get("character", {})),
         "channels": channels,
         "rig": _rig(path, channels, tables, data),

@@ -24,6 +24,7 @@ from vehsim.vehicles.models.tyres import (
     CONTROLS,
     LATERAL,
     LONGITUDINAL,
+    SLIPS,
     SPIN,
     WEIGHTS_LATERAL,
     WEIGHTS_LONGITUDINAL,
@@ -136,16 +137,19 @@ def drift_car(
         return held(tyre, mass, wheelbase, wheel_radius, spin, xi, c, pull)
 
     def slip(axle: int) -> Channel:
-        return Channel(value=lambda t, r, u, xi, c: sliding(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]]))
+        def value(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
+            return sliding(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]])
+
+        return Channel(value=value, unit="m/s")
 
     def slips(axle: int, component: int) -> Channel:
         def value(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
             return tyre.slip(velocities(r, xi)[axle], wheel_radius * u[(2, 0)[axle]])[component]
 
-        return Channel(value=value)
+        return Channel(value=value, unit=SLIPS[component])
 
     def load(axle: int) -> Channel:
-        return Channel(value=lambda t, r, u, xi, c: contact(r, u, xi, c)[2][axle] / 2)
+        return Channel(value=lambda t, r, u, xi, c: contact(r, u, xi, c)[2][axle] / 2, unit="N")
 
     def roll(joint: int) -> Channel:
         return Channel(value=lambda t, r, u, xi, c: r[joint])

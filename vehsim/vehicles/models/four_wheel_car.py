@@ -27,6 +27,7 @@ from vehsim.vehicles.models.tyres import (
     CONTROLS,
     LATERAL,
     LONGITUDINAL,
+    SLIPS,
     SPIN,
     STRAIGHT,
     UPRIGHT,
@@ -224,13 +225,13 @@ def four_wheel_car(
         def value(t: Expr, r: Expr, u: Expr, xi: Expr, c: Expr) -> Expr:
             return sliding(hub(wheel, r, xi, u[at["roll"]]), wheel_radius * u[at[shafts[wheel]]])
 
-        return Channel(value=value)
+        return Channel(value=value, unit="m/s")
 
     def slips_channel(wheel: str, component: int) -> Channel:
-        return Channel(value=lambda t, r, u, xi, c: slips(wheel, r, u, xi)[component])
+        return Channel(value=lambda t, r, u, xi, c: slips(wheel, r, u, xi)[component], unit=SLIPS[component])
 
     def load_channel(wheel: str) -> Channel:
-        return Channel(value=lambda t, r, u, xi, c: contacts(wheel[0], r, u, xi)[wheel][0])
+        return Channel(value=lambda t, r, u, xi, c: contacts(wheel[0], r, u, xi)[wheel][0], unit="N")
 
     return Nonholonomic(
         name=name,

@@ -24,7 +24,7 @@ from vehsim.vehicles.definition.surfaces import SURFACES
 from vehsim.world.ground.levels import on_level
 from vehsim.world.ground.springs import deflections, lean_of
 from vehsim.world.ground.trailers import tilted
-from vehsim.world.ground.tyres import spring_loads
+from vehsim.world.ground.tyres import LOAD, spring_loads
 from vehsim.world.ground.wheels import TOUCHING, Wheel, touch, wheels_of
 from vehsim.world.terrain.terrain import Terrain
 
@@ -48,6 +48,8 @@ GRIP = 1.1
 """Grip of dry tyres, in g."""
 LARGEST_TRAVEL = 0.12
 """Travel beyond which a wheel leaves its arch, m."""
+PLACED = {"heave": "m", LOAD: "N"}
+"""Units of the channels that `place_on_terrain` adds, by the beginning of their names; of others, rad."""
 
 
 def place_on_terrain(clip: Clip, world: Any, samples: int = SAMPLES, coarse: bool = False, loop: bool = False) -> Clip:
