@@ -202,6 +202,22 @@ def test_a_lap_that_is_too_fast_for_a_character_exceeds_it_as_little_as_it_can()
     assert np.linalg.norm(np.diff(way, 2, axis=0), axis=1).max() * 24**2 < 15
 
 
+@pytest.mark.parametrize(
+    ("name", "turn", "last"),
+    [("car", (1140, 25, 15), 1280), ("drift_car", (1140, 25, 15), 1280), ("truck", (1180, 20, -20), 1360)],
+)
+def test_a_lap_without_a_stop_is_driven_within_its_limits_at_once(
+    name: str, turn: tuple[int, float, float], last: int
+) -> None:
+    """Motions without limits went up to 6000 m/s: from there, the car reversed the whole lap, at twice its limits, the
+    `drift_car` took four times as long, and the truck failed."""
+    frame, x, y = turn
+    marks = [Mark(1001, position=(0, 0, 0), heading=0), Mark(frame, position=(x, y, 0)), Mark(last)]
+    made = vehsim.plan(vehsim.load_vehicle(name), None, marks, loop=True)
+    assert made.success and made.character == "brisk" and made.iterations < 250
+    assert made.clip.twists[:, 1].min() > 0 and planner._largest_ratio(made.audit) < 1.2
+
+
 def test_comparison_with_a_stunt_changes_no_motion_that_suits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner, "AT_ONCE", Patience(0))
     usual = drive("normal")

@@ -29,7 +29,10 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     blocks: list[Block] = [Dynamics(marks)]
     aims, traits = [term for term in constraints if term.aim is not None], request.traits
     weights, limits = traits.weights(request.weights), traits.without(request.limits)
-    blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price))
+    # a lap at given frames, without drag and stops, costs next to nothing at any speed
+    slowed = request.vehicle.feels_wind or weights["time"] or any(mark.at_rest for mark in marks)
+    restrained = request.loop and not slowed
+    blocks.append(RunningCosts(weights, aims, marks, limits, traits.control_rates, traits.price, restrained))
     steady = [] if request.loop else steady_marks(request.vehicle, marks, traits)
     asks_turns = bool(costs_of(HazardView, weights)) or any(isinstance(term, Cost) for term in request.terms)
     blocks.append(Easing(weights, traits, request.stops, steady, straight=not asks_turns, looks=aims))
