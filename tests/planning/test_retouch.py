@@ -341,3 +341,37 @@ def test_what_exceeds_the_character_is_named():
     )
     assert not little.beyond
     assert any(row.startswith("character.acceleration: ") for row in much.beyond)
+
+
+@pytest.fixture(scope="module")
+def lap():
+    """The lap of a car that does not stop."""
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0),
+        Mark(1151, position=(25, 15, 0)),
+        Mark(1301),
+    ]
+    return vehsim.plan(CAR, None, marks, loop=True, character="brisk")
+
+
+@pytest.mark.parametrize(
+    ("edited", "moves"),
+    [((1001, 1301), 0.5), ((1001,), 0.0), ((1301,), 0.0), (None, 0.5)],
+    ids=["both ends", "the first", "the last", "all frames"],
+)
+def test_an_edited_loop_stays_closed(lap, edited, moves):
+    """Its ends were drawn to the edit one by one, and missed each other by 2 mm and 0.2 degrees."""
+    whole = lap.clip.resample()
+    near = (
+        1.0
+        if edited is None
+        else sum(np.cos(np.clip((whole.frames - end) / 40, -1, 1) * np.pi / 2) ** 2 for end in edited)
+    )
+    aside = 0.5 * np.broadcast_to(near, len(whole.frames))[:, None] * [0.0, 1.0, 0.0]
+    made = retouch(lap.clip, None, whole.frames, whole.positions + aside, matrices(whole.orientations), asks=lap.asks)
+    assert made.kept <= KEPT
+    ends = made.clip.at(made.clip.times[[0, -1]])
+    turns = matrices(ends.orientations)
+    assert np.ptp(ends.positions, axis=0).max() < 1e-4 and np.abs(turns[1] - turns[0]).max() < 1e-4
+    assert np.ptp(ends.twists, axis=0).max() < 1e-4 and np.ptp(ends.controls, axis=0).max() < 1e-2
+    assert ends.positions[0, 1] == pytest.approx(moves, abs=0.02)

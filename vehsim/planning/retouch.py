@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from vehsim.audit import WorldScene, audit, track_of_clip
 from vehsim.clip.clip import Clip
 from vehsim.errors import InputError, SolveError
-from vehsim.lie.quaternions import continuous, from_yaw, matrices, yaw_of
+from vehsim.lie.quaternions import continuous, from_yaw, matrices, quaternions, yaw_of
 from vehsim.planning.blocks import blocks_of
 from vehsim.planning.certificates import extent
 from vehsim.planning.certify import refine_and_certify
@@ -102,6 +102,8 @@ STANDS = 0.05
 """Distance of a flying vehicle from the ground and obstacles below which it counts as landed, m."""
 AGREES = 1e-4
 """Share by which a limit that is measured on a motion may differ from the optimiser's."""
+LOOP = "loop"
+"""How the names of requests of a loop begin."""
 SPENT = ("work", "dissipated")
 """The accounts of energy that accumulate."""
 
@@ -161,14 +163,15 @@ def retouch(
     whole ``frames`` (n,).
 
     ``clearance``, ``limits``: as in `plan`; ``stops``: frames whose state remains exactly, such as those of marks,
-    unless the edit touches them; ``asks``: those of the plan, by which ``beyond`` of the result is measured.
+    unless the edit touches them; ``asks``: those of the plan, by which ``beyond`` of the result is measured. If they
+    ask for a loop, its ends stay one: they move if the edit touches both, else they remain.
     Frames outside the clip are ignored. Raises ``InputError`` for a vehicle that nothing pushes, and ``SolveError``
     naming the frames if there is no motion that returns to the solved one, or if it stands on the ground there.
     """
     check_pushed(clip.vehicle)
     inside = (frames >= clip.start_frame) & (frames <= clip.end_frame)
     frames, positions, rotations = frames[inside], positions[inside], rotations[inside]
-    edit = _Edit.of(clip, frames, positions, rotations)
+    edit = _Edit.of(clip, frames, positions, rotations, loop=any(ask.key.startswith(LOOP) for ask in asks))
     landed = _landed(clip, world, edit.frames)
     for a, b in _runs(landed & edit.touched):
         raise SolveError(
@@ -258,15 +261,27 @@ class _Edit:
     turned: NDArray[np.bool_]
     axes: int
     """Number of axes of the position that the vehicle's motion sets: 2 if the ground sets the height."""
+    seam: Clip | None = None
+    """The sample at both ends of a loop: where the edit moves it if it moves both, else where it was."""
 
     @classmethod
-    def of(cls, clip: Clip, frames: Array, positions: Array, rotations: Array) -> _Edit:
+    def of(cls, clip: Clip, frames: Array, positions: Array, rotations: Array, loop: bool) -> _Edit:
         solved, planar = clip.at(_times(clip, frames)), clip.vehicle.group.planar
         axes = 2 if planar else 3
         if planar:  # the ground sets the tilt
             rotations = matrices(from_yaw(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])))
         metres, degrees = _apart(solved, positions, rotations, axes)
-        return cls(frames, positions, rotations, metres > MOVED, np.radians(degrees) > TURNED, axes)
+        edit = cls(frames, positions, rotations, metres > MOVED, np.radians(degrees) > TURNED, axes)
+        return replace(edit, seam=edit._seam(clip)) if loop else edit
+
+    def _seam(self, clip: Clip) -> Clip:
+        solved = clip.at(clip.times[:1])
+        if not self.touched[[0, -1]].all():
+            return solved
+        turned = continuous(np.vstack([solved.orientations, quaternions(self.rotations[:1])]))[1:]
+        return replace(
+            solved, positions=self.positions[:1], orientations=turned if self.turned[0] else solved.orientations
+        )
 
     @property
     def touched(self) -> NDArray[np.bool_]:
@@ -512,11 +527,16 @@ def _end_element(transcription: Transcription) -> Element:
 
 def _ends(transcription: Transcription, states: Array, edit: _Edit, window: tuple[float, float]) -> _Ends:
     """The ends of a window, from the first and last of its ``states``."""
+    first, last = states[[0, -1]]
     begins, ends = (not edit.touched[round(frame - edit.frames[0])] for frame in window)
+    if edit.seam is not None:
+        seam = _states(transcription, _flat(edit.seam))[0]
+        begins, first = (True, seam) if window[0] == edit.frames[0] else (begins, first)
+        ends, last = (True, seam) if window[1] == edit.frames[-1] else (ends, last)
     momenta = slice(sum(transcription.sizes[:2]), sum(transcription.sizes[:3]))
     rests = np.abs(states[[0, -1], momenta]).max(axis=1, initial=0.0) < 1e-6
     still = (bool(rests[0]) and not begins, bool(rests[1]) and not ends)
-    return _Ends(states[0], states[-1], begins, ends, still)
+    return _Ends(first, last, begins, ends, still)
 
 
 def _states(transcription: Transcription, clip: Clip) -> Array:
