@@ -25,9 +25,9 @@ from vehsim.vehicles import State, Vehicle, available, load_vehicle
 from vehsim.vehicles.definition.holonomic import Holonomic
 from vehsim.vehicles.definition.mechanics import symbols
 from vehsim.vehicles.definition.quantities import Unit
+from vehsim.vehicles.definition.scales import usual_scales
 from vehsim.vehicles.library.library import MODELS, parameters_of
 from vehsim.vehicles.library.parameters import check_physics, physics_table
-from vehsim.vehicles.library.scales import usual_scales
 
 
 def shot(folder: Path, parameters: str) -> Path:

@@ -350,3 +350,42 @@ def test_a_linkage_that_locks_during_motion_is_named_with_its_step():
     )
     with pytest.raises(SolveError, match=r"scissors: step \d+: constraints lose rank between joints"):
         Integrator(vehicle, 0.01).rollout(State(joints=(0.5,), joint_rates=(-1.0,)), np.zeros((100, 0)))
+
+
+def toboggan(**scales):
+    """A skate of 58 kg that is pushed and turned, with a load on a sprung arm."""
+    mass, yaw, load, arm = 50.0, 5.0, 8.0, 0.6
+
+    def lagrangian(r, u, xi):
+        turn = arm * (u[0] + xi[0])
+        loads = (xi[1] - turn * ca.sin(r[0])) ** 2 + (xi[2] + turn * ca.cos(r[0])) ** 2
+        return (yaw * xi[0] ** 2 + mass * (xi[1] ** 2 + xi[2] ** 2) + load * loads) / 2 - 10 * r[0] ** 2
+
+    bounds = {"push": 150.0, "turn": 40.0}
+    return Nonholonomic(
+        name="toboggan",
+        group=SE2,
+        joints=("arm",),
+        lagrangian=lagrangian,
+        constraints=lambda r: ([[0]], [[0, 0, 1]]),
+        forces=lambda r, u, xi, c: ([-4 * u[0]], [c[1] - 3 * xi[0], c[0] - 10 * xi[1], 0]),
+        controls=tuple(Control(name, -most, most, **scales) for name, most in bounds.items()),
+    )
+
+
+def test_controls_without_a_scale_have_that_of_the_vehicles_own_acceleration():
+    assert [control.scale for control in toboggan(scale=3.0).controls] == [3.0, 3.0]
+    push, turn = (control.scale for control in toboggan().controls)
+    assert push == pytest.approx(58, rel=0.05) and 1 < turn < 40
+
+
+def test_a_plan_of_a_vehicle_without_scales_neither_crawls_nor_fails():
+    """With effort in squared newtons, it took 33 s for 7 m; and a shuttle was refused, with a frame that is not too
+    early."""
+    rest, start = (0.0, 0.0, 0.0), vehsim.Mark(1001, position=(0, 0, 0), heading=0, velocity=(0, 0, 0))
+    aside = vehsim.Mark("free", position=(6, -3, 0), heading=-90, velocity=rest)
+    plan = vehsim.plan(toboggan(), None, [start, aside])
+    assert plan.success and plan.duration < 12
+    away, back = (vehsim.Mark(f, position=p, velocity=rest) for f, p in ((1200, (-6, 1, 0)), (1400, (0, 0, 0))))
+    plan = vehsim.plan(toboggan(), None, [start, away, back])
+    assert plan.success and plan.character == "normal"

@@ -30,12 +30,15 @@ Expr = Any
 
 @dataclass(frozen=True)
 class Control:
-    """One control input: its bounds and the size of a typical value (for scaling), in SI units, and its actuator."""
+    """One control input: its bounds and the size of a typical value (for scaling), in SI units, and its actuator.
+
+    ``scale``: by default what accelerates the vehicle as strongly as 1 m/s^2 does, or 1 if it has no force.
+    """
 
     name: str
     lower: float = -np.inf
     upper: float = np.inf
-    scale: float = 1.0
+    scale: float = math.nan
     unit: str = ""
     actuator: Actuator = field(default_factory=Actuator)
 

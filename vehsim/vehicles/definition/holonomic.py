@@ -15,6 +15,7 @@ from vehsim.lie import SO3
 from vehsim.lie.once import built_once
 from vehsim.vehicles.definition.base import Expr
 from vehsim.vehicles.definition.mechanics import law, symbols
+from vehsim.vehicles.definition.scales import scaled
 from vehsim.vehicles.definition.vehicle import Vehicle
 
 
@@ -68,6 +69,7 @@ class Holonomic(Vehicle):
         object.__setattr__(self, "inertia", inertia)
         object.__setattr__(self, "feels_wind", self.feels_wind or bool(self.drag or self.rotors))
         self.force(*symbols(self))  # names a law of the wrong shape now
+        object.__setattr__(self, "controls", scaled(self))
 
     def largest_drag(self, airspeed: float) -> float:
         """The largest force of drag, N, on a body in space at speeds up to ``airspeed`` m/s, found by sampling; inf if

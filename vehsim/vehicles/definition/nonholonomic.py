@@ -27,6 +27,7 @@ from vehsim.vehicles.definition.mechanics import (
     matrix,
     symbols,
 )
+from vehsim.vehicles.definition.scales import scaled
 from vehsim.vehicles.definition.vehicle import Vehicle
 
 SPEEDS = 10.0 ** np.arange(-1, 5)
@@ -72,6 +73,7 @@ class Nonholonomic(Vehicle):
         if self.pivots is None:
             object.__setattr__(self, "pivots", _pivots(self, sample))
         _check_definite(self, sample)
+        object.__setattr__(self, "controls", scaled(self))
 
     @property
     def rolls(self) -> bool:

@@ -40,7 +40,6 @@ from vehsim.vehicles.library.parameters import (
     replaced,
     words_of,
 )
-from vehsim.vehicles.library.scales import usual_scales
 
 if TYPE_CHECKING:
     from vehsim.vehicles.definition.vehicle import Vehicle
@@ -246,11 +245,9 @@ def _controls(path: Path, vehicle: Vehicle, table: dict[str, Any], actuators: di
     for name, values in table.items():
         if values.get("lower", -math.inf) > values.get("upper", math.inf):
             raise InputError("above upper", "swap them", key=f"controls.{name}.lower", value=values["lower"], file=path)
-    missing = [c for c in vehicle.controls if c.scale == Control.scale and "scale" not in table.get(c.name, {})]
-    usual = usual_scales(vehicle) if missing else {}
     return tuple(
         replace(
-            replace(control, scale=usual.get(control.name, control.scale)) if control in missing else control,
+            control,
             **table.get(control.name, {}),
             actuator=replace(control.actuator, **actuators.get(control.name, {})),
         )

@@ -1,8 +1,10 @@
-"""Sizes of typical controls, for vehicles whose file gives none: an optimiser fails where forces of kilonewtons are
-measured in newtons."""
+"""Sizes of typical controls, for vehicles that give none: an optimiser fails where forces of kilonewtons are measured
+in newtons, and an effort in squared newtons makes motions crawl."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -11,10 +13,22 @@ import numpy as np
 from vehsim.vehicles.definition.mechanics import free_size, free_velocity, project
 
 if TYPE_CHECKING:
+    from vehsim.vehicles.definition.base import Control
     from vehsim.vehicles.definition.vehicle import Vehicle
 
 DIGITS = 2
 """Significant digits of a size, so that it does not depend on the machine."""
+
+
+def scaled(vehicle: Vehicle) -> tuple[Control, ...]:
+    """The vehicle's controls; those that give no scale have the usual one, or 1."""
+    if not any(math.isnan(control.scale) for control in vehicle.controls):
+        return vehicle.controls
+    usual = usual_scales(vehicle)
+    return tuple(
+        replace(control, scale=usual.get(control.name, 1.0)) if math.isnan(control.scale) else control
+        for control in vehicle.controls
+    )
 
 
 def usual_scales(vehicle: Vehicle) -> dict[str, float]:
