@@ -11,26 +11,31 @@ import ctypes
 import math
 from typing import Any
 
+import numpy as np
+
+from vehsim.exporters.usd.scenery.shading import Stars
+
 
 class Backdrop:
     """Draws after ``mjr_render``, with its ``context`` current; the model has a skybox, and meshes only are
-    translucent."""
+    translucent. The ``stars`` are points, as texels of the sky would be blobs."""
 
-    def __init__(self, model: Any, context: Any) -> None:
+    def __init__(self, model: Any, context: Any, stars: Stars) -> None:
         import mujoco
         from OpenGL import GL
 
-        self._context = context
+        self._context, self._stars = context, stars
         self._textures = model.mat_texid[:, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
         kinds = list(context.textureType[: context.ntexture])
-        self._sky = int(context.texture[kinds.index(int(mujoco.mjtTexture.mjTEXTURE_SKYBOX))])
-        GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, self._sky)
+        self.sky = int(context.texture[kinds.index(int(mujoco.mjtTexture.mjTEXTURE_SKYBOX))])
+        GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, self.sky)
         # the sky is magnified, so that coarser copies of it would only cost time
         GL.glTexParameteri(GL.GL_TEXTURE_CUBE_MAP, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR)
         self._lists: dict[int, int] = {}
 
-    def draw_sky(self, camera: Any) -> None:
-        """The sky wherever nothing was drawn, as the scene's camera (a mean of two equal eyes) sees it."""
+    def draw_sky(self, camera: Any, point: int) -> None:
+        """The sky wherever nothing was drawn, as the scene's camera (a mean of two equal eyes) sees it; its stars are
+        ``point`` px wide."""
         from OpenGL import GL
 
         (fx, fy, fz), (ux, uy, uz), near = camera.forward.tolist(), camera.up.tolist(), camera.frustum_near
@@ -47,7 +52,7 @@ class Backdrop:
         GL.glDepthMask(GL.GL_FALSE)
         GL.glDepthRange(0, 0)  # MuJoCo clears the depth to 0 and draws what is nearer with more
         GL.glEnable(GL.GL_TEXTURE_CUBE_MAP)
-        GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, self._sky)
+        GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, self.sky)
         GL.glColor4f(1, 1, 1, 1)
         GL.glBegin(GL.GL_QUADS)
         for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
@@ -61,6 +66,8 @@ class Backdrop:
             GL.glVertex3f(x, y, 0)
         GL.glEnd()
         GL.glDisable(GL.GL_TEXTURE_CUBE_MAP)
+        if len(self._stars.directions):
+            self._draw_stars(camera, point)
         GL.glDepthRange(0, 1)
         GL.glDepthMask(GL.GL_TRUE)
         for state in switched:
@@ -70,6 +77,30 @@ class Backdrop:
         GL.glPopMatrix()
         GL.glMatrixMode(GL.GL_MODELVIEW)
 
+    def _draw_stars(self, camera: Any, point: int) -> None:
+        """The stars, in the coordinates of the picture."""
+        from OpenGL import GL
+
+        forward, up = np.array(camera.forward, float), np.array(camera.up, float)
+        middle = camera.frustum_center, (camera.frustum_top + camera.frustum_bottom) / 2
+        half = camera.frustum_width, (camera.frustum_top - camera.frustum_bottom) / 2
+        ahead = self._stars.directions @ forward
+        x, y = (
+            (camera.frustum_near * (self._stars.directions @ axis) / np.where(ahead > 0, ahead, np.nan) - at) / size
+            for axis, at, size in zip((np.cross(forward, up), up), middle, half, strict=True)
+        )
+        seen = (np.abs(x) < 1) & (np.abs(y) < 1)
+        places = np.column_stack([x, y, np.zeros_like(x)])[seen].astype(np.float32)
+        GL.glEnable(GL.GL_BLEND)
+        GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
+        GL.glPointSize(point)
+        GL.glBegin(GL.GL_POINTS)
+        for place, colour in zip(places.tolist(), self._stars.colours[seen].tolist(), strict=True):
+            GL.glColor3f(*colour)
+            GL.glVertex3f(*place)
+        GL.glEnd()
+        GL.glDisable(GL.GL_BLEND)
+
     def draw_glass(self, scene: Any) -> None:
         """The geoms of ``scene``, all translucent: the nearest first, then again the farthest first."""
         from OpenGL import GL
@@ -78,16 +109,16 @@ class Backdrop:
         eye = scene.camera[0].pos.tolist()
         geoms = [scene.geoms[k] for k in range(scene.ngeom)]
         geoms.sort(key=lambda geom: math.dist(geom.pos.tolist(), eye) - geom.modelrbound)
-        draws = [(_columns(geom), self._list(geom)) for geom in geoms]
+        draws = [(columns(geom), self._list(geom)) for geom in geoms]
         GL.glDepthMask(GL.GL_FALSE)
         GL.glEnable(GL.GL_BLEND)
         GL.glBlendFunc(GL.GL_SRC_ALPHA, GL.GL_ONE_MINUS_SRC_ALPHA)
         lights = [GL.GL_LIGHT0 + k for k in range(scene.nlight)]
         for light in lights:
             GL.glEnable(light)
-        for columns, drawing in [*draws, *draws[::-1]]:
+        for pose, drawing in [*draws, *draws[::-1]]:
             GL.glPushMatrix()
-            glMultMatrixf(columns)
+            glMultMatrixf(pose)
             GL.glCallList(drawing)
             GL.glPopMatrix()
         for light in lights:
@@ -117,9 +148,9 @@ class Backdrop:
         return self._lists[geom.objid]
 
 
-def _columns(geom: Any) -> Any:
+def columns(geom: Any) -> Any:
     """A geom's pose (4, 4) for OpenGL, column by column."""
     a, b, c = geom.mat.tolist()
     x, y, z = geom.pos.tolist()
-    columns = a[0], b[0], c[0], 0, a[1], b[1], c[1], 0, a[2], b[2], c[2], 0, x, y, z, 1
-    return (ctypes.c_float * 16)(*columns)
+    across = a[0], b[0], c[0], 0, a[1], b[1], c[1], 0, a[2], b[2], c[2], 0, x, y, z, 1
+    return (ctypes.c_float * 16)(*across)

@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 
 from vehsim.errors import ExportError
 from vehsim.exporters.pictures.backdrop import Backdrop
+from vehsim.exporters.pictures.gloss import Gloss
 from vehsim.exporters.pictures.tyre_marks import draw_tyre_marks
-from vehsim.exporters.pictures.water import WaterView
+from vehsim.exporters.pictures.water import WaterView, distance_of
+from vehsim.exporters.usd.scenery.shading import Stars
 from vehsim.exporters.usd.stage import Ribbon
 
 Picture = NDArray[np.uint8]
+Array = NDArray[np.float64]
 
 WITHOUT = "or deliver no pictures, such as --to usd,npz,html"
 NO_OPENGL = {
@@ -31,6 +34,8 @@ NO_OPENGL = {
     "win32": ("no OpenGL", f"run it in a desktop session with the driver of a GPU, {WITHOUT}"),
 }
 """By `sys.platform`, what is missing where MuJoCo cannot draw, and the remedy."""
+STAR_POINTS = 900
+"""Width of a picture in the points of which a star has one."""
 OPAQUE, TRANSLUCENT, CASTING = 0, 1, 2
 """Geom groups; translucent geoms that cast shadows are ``CASTING``."""
 
@@ -56,9 +61,10 @@ def _measure_haze_ahead() -> None:
 
 
 class Canvas:
-    """An off-screen OpenGL context with MuJoCo's renderer and one scene. Raises ``ExportError`` without EGL."""
+    """An off-screen OpenGL context with MuJoCo's renderer and one scene; ``ground`` (3,): the displayed colour that
+    smooth things mirror from below; ``stars`` of the sky. Raises ``ExportError`` without EGL."""
 
-    def __init__(self, model: Any, width: int, height: int) -> None:
+    def __init__(self, model: Any, width: int, height: int, ground: Array, stars: Stars) -> None:
         import mujoco
 
         try:
@@ -78,7 +84,8 @@ class Canvas:
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         _measure_haze_ahead()
         self._model = model
-        self._backdrop = Backdrop(model, self._context)
+        self._backdrop = Backdrop(model, self._context, stars)
+        self._gloss = Gloss(model, self._context, self._backdrop.sky, ground)
         self._casting = (model.geom_group == CASTING).any()
         self.scene, self.glass, self.solid = (mujoco.MjvScene(model, model.ngeom + 100) for _ in range(3))
         self._shown = [
@@ -92,6 +99,15 @@ class Canvas:
         """The cameras of all scenes; each has two eyes, drawn as their mean."""
         for scene in (self.scene, self.glass, self.solid):
             yield from scene.camera
+
+    @property
+    def shadow_reach(self) -> float:
+        """Half the width of what the shadow map covers, m."""
+        return float(self._context.shadowClip)
+
+    @shadow_reach.setter
+    def shadow_reach(self, reach: float) -> None:
+        self._context.shadowClip = reach
 
     def update(self, data: Any) -> None:
         """Take geoms and lights from ``data``."""
@@ -107,7 +123,7 @@ class Canvas:
     def draw_water(self, water: WaterView, data: Any, frame: float, height: int) -> None:
         """Update the water to a frame, as seen by the camera in a picture of ``height`` px."""
         self._gl.make_current()
-        water.draw(self._model, data, self._context, frame, self.scene.camera[0], height)
+        water.draw(self._model, data, self._context, frame, self.scene.camera[0], height, self._mirrored)
 
     def picture(
         self, size: tuple[int, int], shadows: bool, marks: Sequence[Ribbon], haze: tuple[float, float]
@@ -115,10 +131,41 @@ class Canvas:
         """Colour (h, w, 3) of everything in haze, with the sky behind it, from the bottom row up; ``size`` (w, h);
         tyre ``marks`` on the ground; ``haze``: where it begins and ends, m."""
         self._draw(self.scene, size, SHADOW=shadows, FOG=True)
-        self._backdrop.draw_sky(self.scene.camera[0])
+        self._backdrop.draw_sky(self.scene.camera[0], max(round(size[0] / STAR_POINTS), 1))
         draw_tyre_marks(marks, np.asarray(self.scene.camera[0].pos, float), haze)
         self._backdrop.draw_glass(self.glass)
+        geoms = [*self.scene.geoms[: self.scene.ngeom], *self.glass.geoms[: self.glass.ngeom]]
+        self._gloss.draw(geoms, self.scene.camera[0], size, haze)
         return self._colour(size)
+
+    def _mirrored(self, level: float, size: tuple[int, int]) -> tuple[Picture, NDArray[np.bool_]]:
+        """What the camera would see in a mirror at a ``level`` m: colour (h, w, 3) of solid things above it, and where
+        (h, w) there are any, from the bottom row up; ``size`` (w, h) px."""
+        from OpenGL import GL
+
+        seen, water = self.scene.camera[0], self._model.geom("water").id
+        eye, forward, up = (np.array(each, float) for each in (seen.pos, seen.forward, seen.up))
+        eye[2], forward[2], up[:2] = 2 * level - eye[2], -forward[2], -up[:2]  # its picture is upside down
+        for camera in self.solid.camera:
+            camera.pos, camera.forward, camera.up = eye, forward, up
+            camera.frustum_bottom, camera.frustum_top = -seen.frustum_top, -seen.frustum_bottom
+        for geom in self.solid.geoms[: self.solid.ngeom]:
+            if geom.objid == water:
+                geom.rgba[3] = 0
+        axes = np.cross(forward, up), up, -forward
+        GL.glLoadIdentity()
+        GL.glClipPlane(GL.GL_CLIP_PLANE1, [*(float(axis[2]) for axis in axes), float(eye[2]) - level])
+        GL.glEnable(GL.GL_CLIP_PLANE1)
+        self._draw(self.solid, size)
+        GL.glDisable(GL.GL_CLIP_PLANE1)
+        picture, depth = self._colour(size)[::-1], self.depth(size)[::-1]
+        for camera, own in zip(self.solid.camera, self.scene.camera, strict=True):
+            camera.pos, camera.forward, camera.up = own.pos, own.forward, own.up
+            camera.frustum_bottom, camera.frustum_top = own.frustum_bottom, own.frustum_top
+        for geom in self.solid.geoms[: self.solid.ngeom]:
+            if geom.objid == water:
+                geom.rgba[3] = 1
+        return picture, depth > 0
 
     def _draw(self, scene: Any, size: tuple[int, int], **flags: bool) -> None:
         """``size`` (w, h) px, within the context's; ``flags``: those of the renderer (SHADOW, FOG, ...); others are
@@ -145,6 +192,20 @@ class Canvas:
         depth = np.empty(size[::-1], np.float32)
         mujoco.mjr_readPixels(None, depth, mujoco.MjrRect(0, 0, *size), self._context)
         return depth
+
+    def depth_from(
+        self, eye: Array, forward: Array, up: Array, half: tuple[float, float], near: float, size: tuple[int, int]
+    ) -> NDArray[np.float64]:
+        """The depth (h, w) m of solid things from another place, from the bottom row up; ``half``: width and height of
+        the view at distance 1."""
+        far = 1e3 * near
+        for camera in self.solid.camera:
+            camera.pos, camera.forward, camera.up = eye, forward, up
+            camera.frustum_near, camera.frustum_far = near, far
+            camera.frustum_center, camera.frustum_width = 0.0, half[0] * near
+            camera.frustum_bottom, camera.frustum_top = -half[1] * near, half[1] * near
+        self._draw(self.solid, size)
+        return distance_of(self.depth(size), (near, far))
 
     def draw_ids(self, size: tuple[int, int], translucent: bool = False) -> NDArray[np.int64]:
         """The visible opaque geom (h, w), -1 for none, from the bottom row up; or the ``translucent`` one that would be

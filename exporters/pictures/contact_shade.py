@@ -96,10 +96,13 @@ class Shade:
         lost = np.full(places.shape[:-1], STRENGTH)
         if start < end:
             lost *= np.clip((end - places[..., 2]) / (end - start), 0, 1)
+        upper = self.lower + self.cell * np.array(self.hidden.shape)
         near = lost > 0
+        for place, low, high in zip(np.moveaxis(places, -1, 0), self.lower, upper, strict=True):
+            near &= (place > low) & (place < high)
         at = (places[near] - self.lower) / self.cell
         lost[near] *= map_coordinates(self.hidden, at.T, order=1, mode="constant")
-        return np.asarray(lost)
+        return np.where(near, lost, 0.0)
 
 
 class Shades:

@@ -7,13 +7,14 @@ the look, `frames.py` and `film.py` write files.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.exporters.pictures import lamps
 from vehsim.exporters.pictures.canvas import CASTING, OPAQUE, TRANSLUCENT, Canvas, Picture
 from vehsim.exporters.pictures.contact_shade import Shades
 from vehsim.exporters.pictures.grain import grained, is_ground, strengths_of
@@ -21,14 +22,14 @@ from vehsim.exporters.pictures.motion_passes import Pixels, drop_flow, drops_see
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.spray import draw_spray
 from vehsim.exporters.pictures.water import ON_WATER, WaterView, distance_of, places_of
-from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for
+from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for, mean_of
 from vehsim.exporters.usd.stage import Shape, StageReader
 
 Array = NDArray[np.float64]
 Depth = NDArray[np.float32]
 Geoms = NDArray[np.int64]
 
-SHADOW_MAP = 3072
+SHADOW_MAP = 4096
 SHADOW_REACH = (5.0, 115.0)
 """Half the width of what the shadow map covers, m, minimum and maximum; it moves with the camera."""
 SHADOW_DEPTH, GRAZING = (400.0, 4_000.0), 700.0
@@ -66,11 +67,15 @@ class StageRenderer:
         self._water = None if stage.water is None else WaterView(stage, self._light, shadows, size[0])
         self._bounds = bounds_of(stage)
         self._shadow_axes = _across(self._light.direction)
-        self._casters = spans_of_casters(stage, self._shadow_axes, self._bounds[0])
+        self._casters = spans_of_casters(stage, self._shadow_axes)
+        towards = (self._light.direction,) * 2
+        self._sunwards = float(spans_of_casters(stage, towards).min()) - 1.0
+        self._reaches = {name: shadow_reach(stage, self._casters, [name]) for name in stage.cameras}
         self._reach = shadow_reach(stage, self._casters)
-        self._shadow_depth = self._reach * shadow_depth(stage, self._light.direction)
+        self._shadow_depth = shadow_depth(stage, self._light.direction)
         self._haze_end = haze_end(stage)
         self._shades = Shades(stage)
+        self._lamps = lamps.lamps_of(stage, self._light)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
         width, height = self._supersample * size[0], self._supersample * size[1]
         self._model = self._spec(width, height).compile()
@@ -84,7 +89,7 @@ class StageRenderer:
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
         self._size = width, height
-        self._canvas = Canvas(self._model, width, height)
+        self._canvas = Canvas(self._model, width, height, self._below(), self._light.stars)
 
     def __enter__(self) -> StageRenderer:
         return self
@@ -190,11 +195,12 @@ class StageRenderer:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         self._canvas.update(self._data)
+        self._reach = self._canvas.shadow_reach = self._reaches[camera]
         self._place_camera(camera, frame)
 
     def _drawn(self, clip: tuple[float, float]) -> tuple[float, float]:
         """Near and far plane for drawing, m, if the stage requests ``clip``."""
-        return clip[0], max(clip[1], self._shadow_depth)
+        return clip[0], max(clip[1], self._reach * self._shadow_depth)
 
     def _place_camera(self, name: str, frame: float) -> None:
         pose, half_width, shift, clip = self.stage.camera(name, frame)
@@ -231,6 +237,8 @@ class StageRenderer:
             ground = self._ground[samples].reshape(len(of_geom), side, -1, side).mean(axis=(1, 3))
             picture = self._grainy(picture, depth, of_geom, camera, frame)
             picture = self._shaded(picture, depth, of_geom, ground, camera, frame)
+        if self._lamps:
+            picture = self._lamplit(picture, depth, camera, frame)
         if self.stage.spray is None or self._water is None:
             return picture
         view, half, shift, clip = self._sight(camera, frame)
@@ -280,6 +288,21 @@ class StageRenderer:
             picture[part] = (picture[part] * (1 - lost[..., None])).round()
         return picture[::-1]
 
+    def _lamplit(self, picture: Picture, depth: Depth, camera: str, frame: float) -> Picture:
+        """The picture with the light of lamps."""
+        places, distance = self._places(depth, camera, frame, (slice(None), slice(None)))
+        places[~np.isfinite(distance)] = 1e6
+        poses = self.stage.matrices(frame)
+
+        def depth_from(eye: Array, forward: Array, up: Array) -> Array:
+            return self._canvas.depth_from(eye, forward, up, lamps.VIEW, lamps.CLEAR, lamps.PIXELS)
+
+        def part_of(corners: Array) -> tuple[slice, slice] | None:
+            return self._part(corners, camera, frame)
+
+        picture = lamps.lit(picture[::-1], places, self._lamps, poses, self._light, part_of, depth_from)
+        return lamps.haloed(picture, distance, self._lamps, poses, self._sight(camera, frame))[::-1]
+
     def _part(self, corners: Array, camera: str, frame: float) -> tuple[slice, slice] | None:
         """Rows (from the bottom) and columns of the picture that a box (8, 3) m may cover; None if it is not seen."""
         (eye, forward, up), half, shift, _ = self._sight(camera, frame)
@@ -316,6 +339,14 @@ class StageRenderer:
         half = (half_width, half_width * self.size[1] / self.size[0])
         return (pose[:3, 3], -pose[:3, 2], pose[:3, 1]), half, shift, self._drawn(clip)
 
+    def _below(self) -> Array:
+        """The displayed colour (3,) of the water or of level ground, partly in shade."""
+        if self._water is not None:
+            return self._water.colour
+        light = self._light
+        lit = light.ambient + light.sky - 0.5 * light.sun * min(light.direction[2], 0.0)
+        return next((mean_of(shape.surface) * lit for shape in self.stage.shapes if is_ground(shape)), 0.3 * lit)
+
     def _place_lights(self) -> None:
         """Place the sun's shadow map over the camera's view and what casts shadows there, aligned to whole texels so
         that shadow edges do not flicker."""
@@ -328,8 +359,8 @@ class StageRenderer:
         inner = np.where(inner[0] > inner[1], self._casters.mean(axis=0), inner)
         places = np.clip(np.array(self._shadow_axes) @ centre, *inner)
         across = np.round(places / texel) * texel @ np.array(self._shadow_axes)
-        size = float(np.linalg.norm(upper - lower))
-        scene.lights[SUN].pos = across + (centre @ direction - size) * direction
+        # as close as casters permit: far away, rounding would cast specks of shadow
+        scene.lights[SUN].pos = across + min(self._sunwards, centre @ direction - 1.0) * direction
         scene.lights[SUN].dir = direction
 
     def _spec(self, width: int, height: int) -> Any:
@@ -360,7 +391,7 @@ class StageRenderer:
                 dir=list(direction),
                 diffuse=list(colour),
                 specular=list(colour) if cast else [0, 0, 0],
-                castshadow=cast and self._shadows,
+                castshadow=cast and self._shadows and light.sharp,
             )
         author_skybox(spec, light.skybox)
         if self._water is not None:
@@ -370,12 +401,13 @@ class StageRenderer:
             bodies[group] = spec.worldbody.add_body(name=f"group{k}", mocap=True)
         textures: dict[Any, str] = {}
         materials: dict[Any, str] = {}
+        casters = {shape.name for shape in _casting(self.stage)}
         for k, shape in enumerate(self.stage.shapes):
             if shape.surface not in materials:
                 materials[shape.surface] = f"material{len(materials)}"
                 author_material(spec, materials[shape.surface], shape.surface, textures)
             _author_mesh(spec, f"shape{k}", shape)
-            casting = self._shadows and _casts_shadow(shape, lower)
+            casting = self._shadows and shape.name in casters
             bodies[shape.group].add_geom(
                 name=f"shape{k}",
                 type=mujoco.mjtGeom.mjGEOM_MESH,
@@ -429,10 +461,17 @@ def _box(mask: NDArray[np.bool_], side: int) -> tuple[int, int, int, int]:
     return low[0], low[1], high[0], high[1]
 
 
-def _casts_shadow(shape: Shape, lower: Array) -> bool:
-    """Whether a geom casts shadows: not a blurred rotor, and not level ground, which has nothing below it."""
-    level_ground = not shape.group and float(shape.points[:, 2].max()) < lower[2] + 1e-3
-    return shape.surface.opacity > 0.5 and not level_ground
+def _casting(stage: StageReader) -> list[Shape]:
+    """The shapes that cast shadows: no blurred rotor, and no level ground with nothing below it but the feet of
+    obstacles."""
+    ground = [float(shape.points[:, 2].min()) for shape in stage.shapes if is_ground(shape)]
+    lowest = min(ground, default=-np.inf) + 1e-3
+    level = [is_ground(shape) and float(shape.points[:, 2].max()) < lowest for shape in stage.shapes]
+    return [
+        shape
+        for shape, is_level in zip(stage.shapes, level, strict=True)
+        if shape.surface.opacity > 0.5 and not is_level
+    ]
 
 
 def bounds_of(stage: StageReader) -> tuple[Array, Array]:
@@ -459,7 +498,7 @@ def haze_end(stage: StageReader) -> float:
         return HAZE[1]
     points = np.concatenate([shape.points[:, :2] for shape in ground])
     edge = 0.6 * float(np.ptp(points, axis=0).min())
-    return max(min(HAZE[1], max(edge, 60.0)), CLEAR * (_usual_distance(stage) or 0.0))
+    return max(min(HAZE[1], max(edge, 60.0)), CLEAR * (_usual_distance(stage, stage.cameras) or 0.0))
 
 
 def _across(direction: Array) -> tuple[Array, Array]:
@@ -469,11 +508,10 @@ def _across(direction: Array) -> tuple[Array, Array]:
     return np.cross(direction, up), up
 
 
-def spans_of_casters(stage: StageReader, axes: tuple[Array, Array], lower: Array) -> Array:
-    """From where to where (2, 2) along each of two ``axes`` something casts shadows during the shot, m; ``lower``: that
-    of `bounds_of`."""
+def spans_of_casters(stage: StageReader, axes: tuple[Array, Array]) -> Array:
+    """From where to where (2, 2) along each of two ``axes`` something casts shadows during the shot, m."""
     across = np.array(axes)
-    casting = [shape for shape in stage.shapes if _casts_shadow(shape, lower)]
+    casting = _casting(stage)
     sizes: dict[str, float] = {}  # of what moves, around its own origin
     spans = [np.zeros((0, 2))]
     for shape in casting:
@@ -490,11 +528,11 @@ def spans_of_casters(stage: StageReader, axes: tuple[Array, Array], lower: Array
     return np.array([every.min(axis=0), every.max(axis=0)]) if len(every) else np.zeros((2, 2))
 
 
-def shadow_reach(stage: StageReader, casters: Array) -> float:
+def shadow_reach(stage: StageReader, casters: Array, cameras: Collection[str] | None = None) -> float:
     """Half the width of the shadow map, m: that of all ``casters`` (2, 2), see `spans_of_casters`, but no more than
-    four times the usual distance of what the cameras show."""
+    four times the usual distance of what the ``cameras`` show, by default all."""
     whole = float((casters[1] - casters[0]).max()) / 2 + 1.0
-    usual = _usual_distance(stage)
+    usual = _usual_distance(stage, stage.cameras if cameras is None else cameras)
     return float(np.clip(whole if usual is None else min(4.0 * usual, whole), *SHADOW_REACH))
 
 
@@ -518,11 +556,11 @@ def shadow_depth(stage: StageReader, direction: Array) -> float:
     return float(np.clip(GRAZING * tangents[order][np.searchsorted(share, 0.95)], *SHADOW_DEPTH))
 
 
-def _usual_distance(stage: StageReader) -> float | None:
-    """The median distance of the cameras from the nearest mover or vehicle, m; None without these or cameras."""
+def _usual_distance(stage: StageReader, cameras: Collection[str]) -> float | None:
+    """The median distance of ``cameras`` from the nearest mover or vehicle, m; None without these or cameras."""
     distances = []
     for frame in np.linspace(stage.frames[0], stage.frames[1], 5):
         places = [pose[:3, 3] for pose in stage.matrices(frame).values()] + stage.vehicles(frame)
-        eyes = [stage.camera(name, frame).T_wc[:3, 3] for name in stage.cameras]
+        eyes = [stage.camera(name, frame).T_wc[:3, 3] for name in cameras]
         distances += [min(np.linalg.norm(place - eye) for place in places) for eye in eyes if places]
     return float(np.median(distances)) if distances else None

@@ -16,13 +16,15 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Material:
-    """A material: linear ``colour``, ``opacity``, ``roughness``, ``metallic``, a colour ``texture`` file or None."""
+    """A material: linear ``colour``, ``opacity``, ``roughness``, ``metallic``, a colour ``texture`` file or None;
+    ``polish``: the roughness of its outermost layer, which is the clear coat of paint."""
 
     colour: tuple[float, float, float] = (0.5, 0.5, 0.5)
     opacity: float = 1.0
     roughness: float = 0.5
     metallic: float = 0.0
     emission: float = 0.0
+    polish: float = 0.5
     texture: Path | None = None
 
 
@@ -61,12 +63,15 @@ def read_surface(prim: Any, time: float) -> Material:
 
     emissive = value("emissiveColor", (0.0, 0.0, 0.0))
     colour = value("diffuseColor", (0.18, 0.18, 0.18))
+    roughness = float(value("roughness", 0.5))
+    coated = value("clearcoat", 0.0) >= 0.5
     return Material(
         colour=(float(colour[0]), float(colour[1]), float(colour[2])),
         opacity=float(value("opacity", 1.0)),
-        roughness=float(value("roughness", 0.5)),
+        roughness=roughness,
         metallic=float(value("metallic", 0.0)),
         emission=float(max(emissive)),
+        polish=float(value("clearcoatRoughness", 0.01)) if coated else roughness,
         texture=_texture(shader),
     )
 

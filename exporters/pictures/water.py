@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vehsim.constants import GRAVITY
-from vehsim.exporters.usd.scenery.lighting import to_srgb
-from vehsim.exporters.usd.scenery.shading import HIGHLIGHT, Light, dome_mean, sky_image
+from vehsim.exporters.usd.scenery.lighting import to_linear, to_srgb
+from vehsim.exporters.usd.scenery.shading import Light, dome_mean
 from vehsim.exporters.usd.scenery.water_material import TILE, patches
 from vehsim.exporters.usd.stage import StageReader, Sun
 
 Array = NDArray[np.floating]
+Mirrored = Callable[[float, tuple[int, int]], tuple[NDArray[np.uint8], NDArray[np.bool_]]]
+"""What the camera sees in a mirror at a level, m, in a picture of some width and height: its colours (h, w, 3), and
+where it shows anything."""
 
 DENSITY = 0.7
 """Texels of the texture per pixel, where the mesh is seen; at least one per cell of the mesh."""
@@ -51,6 +55,9 @@ NEAR = 60.0
 """Largest distance at which wet lines are drawn, m."""
 ON_WATER = 0.4
 """Share of a vehicle's shade that water shows: it mirrors the hull's own light, and its depths are lit from around."""
+ASIDE, COARSER = 1.5, 2
+"""Distance from the water of the things that it mirrors, by which waves distort them, m, and the width of the pixels of
+their picture, in those of the delivered one."""
 HULL = 1.5
 """Pixels this close to water lowered inside a hull belong to the hull, m."""
 
@@ -124,10 +131,9 @@ class WaterView:
         self._points, self._normals, self._foam, self._lowered = stage.water_at(stage.frames[0])
         sun, sky = stage.sun(), stage.sky()
         self._sun, self._sky = sun or Sun(np.array([0.0, 0.0, -1.0]), np.ones(3)), sky
-        image = sky_image(sky)
-        fill, self._image = dome_mean(image), image.astype(np.float32)
+        fill, self._image = dome_mean(light.image), light.image.astype(np.float32)
         self._fill = fill
-        self._exposure = HIGHLIGHT / float((fill + self._sun.colour / np.pi).max())
+        self._exposure = light.exposure
         overhead = max(-float(self._sun.direction[2]), 0.0)
         # MuJoCo's emission of 1 shows the texture unchanged. Shadows are added in a separate pass, so that a shadow on
         # water removes little light: most of the visible light is mirrored.
@@ -142,6 +148,11 @@ class WaterView:
         """The displayed colour (3,) of foam in the air, 0 to 255."""
         light = self._fill + 0.5 * self._sun.colour / np.pi
         return np.asarray(255 * to_srgb(np.clip(FOAM * light * self._exposure, 0, 1)))
+
+    @property
+    def colour(self) -> Array:
+        """The displayed colour (3,) of the water from above."""
+        return to_srgb(np.clip((DEPTHS * np.pi + 0.02) * self._fill * self._exposure, 0, 1))
 
     def author(self, spec: Any) -> None:
         """Add mesh, texture and geom to a spec."""
@@ -161,6 +172,7 @@ class WaterView:
         texture.height, texture.width = self._size
         texture.data = bytes(3 * texture.height * texture.width)
         material = spec.add_material(name="water", rgba=[1, 1, 1, 1], specular=0.0, shininess=0.0, emission=1.0)
+        material.roughness = 1.0  # the texture has what the water mirrors
         roles = list(material.textures)
         roles[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "water"
         material.textures = roles
@@ -170,12 +182,14 @@ class WaterView:
             castshadow=False,
         )  # fmt: skip
 
-    def draw(self, model: Any, data: Any, context: Any, frame: float, camera: Any, height: int) -> None:
+    def draw(
+        self, model: Any, data: Any, context: Any, frame: float, camera: Any, height: int, mirrored: Mirrored
+    ) -> None:
         """Update mesh and texture to a frame, for a picture of ``height`` px from MuJoCo's ``camera``. The OpenGL
         context must be current."""
         import mujoco
 
-        self._time = frame
+        self._time, self._height = frame, height
         self._points, self._normals, self._foam, self._lowered = self._stage.water_at(frame)
         mesh, geom = model.mesh("water").id, model.geom("water").id
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
@@ -188,7 +202,7 @@ class WaterView:
         texture = model.texture("water").id
         start, (rows, cols) = model.tex_adr[texture], self._size
         image = model.tex_data[start : start + 3 * rows * cols].reshape(rows, cols, 3)
-        image[texels.rows, texels.columns] = self._picture(texels, np.array(camera.pos, np.float32))
+        image[texels.rows, texels.columns] = self._picture(texels, camera, mirrored)
         bottom, right = (int(end[-1]) for end in texels.ends)
         image[:EDGE], image[bottom : bottom + EDGE] = image[EDGE], image[bottom - 1]
         image[:, :EDGE], image[:, right : right + EDGE] = image[:, EDGE : EDGE + 1], image[:, right - 1 : right]
@@ -222,8 +236,9 @@ class WaterView:
         cells = np.maximum(sides[0][:, :-1] / counts[0][:, None], sides[1][:-1] / counts[1][None, :])
         return Texels.of(counts[0], counts[1], seen[:-1, :-1], cells)
 
-    def _picture(self, texels: Texels, eye: NDArray[np.float32]) -> NDArray[np.uint8]:
+    def _picture(self, texels: Texels, camera: Any, mirrored: Mirrored) -> NDArray[np.uint8]:
         """The appearance of the texels (n, 3)."""
+        eye = np.array(camera.pos, np.float32)
         fields = np.column_stack([self._points, self._normals, self._anchors(), self._foam])
         points, normals, rest, (foam,) = np.split(texels.between(fields), [3, 6, 8])
         away = _length(points[:2] - eye[:2, None])
@@ -234,14 +249,17 @@ class WaterView:
         tilt = SLOPES * np.clip((away - FAR[0]) / (FAR[1] - FAR[0]), 0, 1)
         facing = np.clip((normals * view).sum(axis=0) + 0.5 * tilt, 0.04, 1.0)
         fresnel = 0.02 + 0.98 * (1 - facing) ** 5
-        mirrored = 2 * facing * normals - view
-        mirrored[2] = np.abs(mirrored[2]) + 0.02 + 2 * tilt
-        mirrored /= _length(mirrored)
+        directions = 2 * facing * normals - view
+        directions[2] = np.abs(directions[2]) + 0.02 + 2 * tilt
+        directions /= _length(directions)
         heights = self._points[:, 2]
         crest = np.clip((points[2] - float(heights.mean())) / max(0.6, 3 * float(heights.std())), 0, 1)
         white = patches(rest, foam, texels.size) * (THIN + (1 - THIN) * foam)
         sunlit = np.clip(-(self._sun.direction.astype(np.float32) @ normals), 0, 1)
-        seen, glint = self._seen(mirrored), self._glint(mirrored)
+        seen, glint = self._seen(directions), self._glint(directions)
+        near, things = self._things(points, directions, camera, mirrored)
+        seen[:, near] = things
+        glint[near] = 0
         colour = np.empty((foam.size, 3), np.float32)
         for k in range(3):
             depths, lit_crest, bubbles = (float(c[k] * self._fill[k] * np.pi) for c in (DEPTHS, CREST, BUBBLES))
@@ -318,6 +336,33 @@ class WaterView:
         v = np.arccos(np.clip(y, -1, 1)) / np.pi
         texel = np.minimum((v * height).astype(int), height - 1) * width + (u * width).astype(int) % width
         return np.asarray(self._image.reshape(-1, 3).take(texel, axis=0).T)
+
+    def _things(
+        self, points: Array, directions: Array, camera: Any, mirrored: Mirrored
+    ) -> tuple[NDArray[np.int64], Array]:
+        """The texels (k,) that mirror solid things, and the radiance (3, k) of these, for ``points`` (3, m) m of the
+        water and mirrored ``directions`` (3, m). Things are taken to be `ASIDE` m away from the water."""
+        level = float(np.median(self._points[:, 2]))
+        wide = 2 * camera.frustum_width / (camera.frustum_top - camera.frustum_bottom)
+        width, height = (max(int(size) // COARSER, 16) for size in (wide * self._height, self._height))
+        picture, there = mirrored(level, (width, height))
+        if not there.any():
+            return np.zeros(0, int), np.zeros((3, 0))
+        forward, up = np.array(camera.forward, np.float32), np.array(camera.up, np.float32)
+        away = points + ASIDE * directions
+        away[2] = 2 * level - away[2]
+        away -= np.array(camera.pos, np.float32)[:, None]
+        ahead = np.maximum(forward @ away, 1e-3) / camera.frustum_near
+        half = camera.frustum_width, (camera.frustum_top - camera.frustum_bottom) / 2
+        middle = camera.frustum_center, (camera.frustum_top + camera.frustum_bottom) / 2
+        column, row = (
+            np.floor(np.clip((axis @ away / ahead - at) / size, -2, 2) * (0.5 * count) + 0.5 * count).astype(np.int32)
+            for axis, at, size, count in zip((np.cross(forward, up), up), middle, half, (width, height), strict=True)
+        )
+        inside = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
+        near = inside[there[row[inside], column[inside]]]
+        display = picture[row[near], column[near]].T / np.float32(255)
+        return near, to_linear(display) / self._exposure
 
     def wet(self, colour: NDArray[np.uint8], places: Array, distance: Array) -> NDArray[np.uint8]:
         """Pixels (h, w, 3), with wet lines on objects in the water; ``places`` (h, w, 3) m, ``distance`` (h, w) m."""
@@ -398,6 +443,8 @@ def places_of(
     y = (np.arange(h)[part[0]] + 0.5) / h * 2 - 1
     distance = distance_of(depth[part], clip)
     side = np.cross(forward, up)
-    ray = forward + (shift[0] + half[0] * x[None, :, None]) * side + (shift[1] + half[1] * y[:, None, None]) * up
-    reach = np.where(np.isfinite(distance), distance, 0.0)[..., None]
-    return np.asarray(eye) + reach * ray, distance
+    across, above = (shift[0] + half[0] * x[:, None]) * side + forward, (shift[1] + half[1] * y[:, None]) * up
+    places = across[None] + above[:, None]
+    places *= np.where(np.isfinite(distance), distance, 0.0)[..., None]
+    places += eye
+    return places, distance

@@ -71,10 +71,12 @@ class View(NamedTuple):
 
 @dataclass(frozen=True)
 class Sun:
-    """A distant light: ``direction`` (3,) of its rays; ``colour`` linear, times intensity."""
+    """A distant light: ``direction`` (3,) of its rays; ``colour`` linear, times intensity; ``angle``: its width in
+    degrees."""
 
     direction: Array
     colour: Array
+    angle: float = 0.53
 
 
 @dataclass(frozen=True)
@@ -267,7 +269,8 @@ class StageReader:
         for prim in self._stage.Traverse():
             if prim.IsA(UsdLux.DistantLight):
                 direction = self._world(str(prim.GetPath()))[:3, :3] @ (0.0, 0.0, -1.0)
-                return Sun(direction / np.linalg.norm(direction), _light_colour(prim))
+                angle = float(UsdLux.DistantLight(prim).GetAngleAttr().Get())
+                return Sun(direction / np.linalg.norm(direction), _light_colour(prim), angle)
         return None
 
     def sky(self) -> Sky | None:

@@ -98,6 +98,36 @@ def test_roofs_have_no_windows(tmp_path):
     assert edges == pytest.approx(np.linalg.norm(corners[level] - np.roll(corners[level], 1, axis=1), axis=2), abs=1e-4)
 
 
+def wall_places(obstacle):
+    """The corners (m, 3, 3) m of an obstacle's upright faces, their normals, and where on a facade (m, 3, 2) m they
+    are."""
+    corners = obstacle.points[obstacle.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    standing = np.abs(normals[:, 2]) < 0.01
+    places = finishes.coordinates(corners, normals, "facade") * finishes.FINISHES["facade"].tile
+    return corners[standing], normals[standing], places[standing]
+
+
+def test_no_window_is_cut_at_a_corner_or_under_the_roof():
+    """Each wall of a turned house has a whole number of bays, hardly stretched, and of storeys from its own bottom."""
+    _, normals, places = wall_places(ob.box("house", (500_009.3, 7.7, 1.4), (11.1, 4.6, 7.0), heading=33))
+    for normal, bays in zip(np.unique(normals.round(3), axis=0), (2, 6, 6, 2), strict=True):
+        wall = places[np.abs(normals - normal).max(axis=1) < 0.01]
+        assert np.ptp(wall[..., 0]) == pytest.approx(finishes.BAY * bays)
+        assert wall[..., 1].min() == 0 and wall[..., 1].max() == pytest.approx(2 * finishes.STOREY, rel=0.02)
+
+
+def test_the_facade_of_a_round_tower_goes_all_around():
+    """Its flat parts are one wall: whole bays around it, and the same place on both sides of all edges but one."""
+    tower = ob.ellipse("tower", (3.0, 4.0), (5.0, 5.0), height=9.0)
+    corners, _, places = wall_places(tower)
+    assert np.ptp(places[..., 0]) == pytest.approx(finishes.BAY * round(2 * np.pi * 5 / finishes.BAY))
+    _, of_place = np.unique(corners.reshape(-1, 3).round(6), axis=0, return_inverse=True)
+    spread = [np.ptp(places.reshape(-1, 2)[of_place.ravel() == k, 0]) for k in range(of_place.max() + 1)]
+    assert sum(each > 0.01 for each in spread) == 2
+
+
 def test_lists_of_names_agree():
     """The shot file, the obstacles and the exporter name the same finishes and moods."""
     finish, mood = BoxTable.model_fields["finish"], RenderTable.model_fields["mood"]
@@ -110,14 +140,18 @@ def test_moods_differ_as_their_names_say(tmp_path):
         mood = MOODS[name]
         write_sky(tmp_path / "sky.png", 40.0, mood.elevations[0], mood)
         sky = Sky(np.full(3, mood.dome_intensity), tmp_path / "sky.png", np.eye(3)[[0, 2, 1]] * [1, -1, 1])
-        sun = Sun(np.array([0.0, 0, -1]), mood.sun_intensity * np.array(mood.sun_colour))
-        return light_for(sun, sky)
+        slope = np.radians(mood.elevations[0])
+        direction = np.array([np.cos(slope), 0, -np.sin(slope)])
+        return light_for(Sun(direction, mood.sun_intensity * np.array(mood.sun_colour), mood.sun_angle), sky)
 
     found = {name: light(name) for name in MOODS}
     white = {name: to_linear(np.minimum(one.sun + one.ambient + one.sky, 1.0)).mean() for name, one in found.items()}
     assert white["night"] < 0.3 * min(white[name] for name in MOODS if name != "night")
     shade = {name: ((one.ambient + one.sky) / one.sun).mean() for name, one in found.items()}
     assert shade["overcast"] > 1.5 * max(shade["noon"], shade["afternoon"])  # its shadows are faint
+    level = {name: (one.ambient + one.sky - one.sun * one.direction[2]).mean() for name, one in found.items()}
+    assert level["noon"] > level["overcast"] > level["afternoon"]  # paving
+    assert [name for name, one in found.items() if not one.sharp] == ["overcast"]
     assert found["night"].sun[2] > found["night"].sun[0] and found["dusk"].sun[0] > 1.5 * found["dusk"].sun[2]
 
 

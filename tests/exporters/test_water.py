@@ -371,6 +371,32 @@ def test_water_shows_less_of_a_vehicles_shade(tmp_path, monkeypatch):
     assert (clear - shown)[lost].sum() == pytest.approx(0.5 * (clear - dark)[lost].sum(), rel=0.1)
 
 
+def test_calm_water_mirrors_what_stands_in_it(tmp_path, monkeypatch):
+    """A red wall: the water in front of it gets redder; water beside it and the wall itself stay as they are."""
+    from dataclasses import replace
+
+    from vehsim.exporters.pictures.water import WaterView
+    from vehsim.world.obstacles.obstacles import box
+
+    wall = replace(box("wall", (0, 4, -1), (6, 1, 3)), finish="paint", colour=(0.9, 0.1, 0.1))
+    clip, frames = straight(6.0, 0.1, (40.0, 40.0, 0.0)), (1001, 1002)
+    world = World(water=Water(0.0), obstacles=[wall])
+    rig = CameraRig(name="low", rig="static", position=(0.0, -9.0, 1.4), look_at=(0.0, 4.0, 0.0))
+    camera = solve_camera(rig, {"boat": clip}, world, frames)
+    take = Take("sea", {"boat": clip}, world, (camera,), Fraction(FPS), frames, RenderSettings((320, 180)))
+    stage, seen = take.export(tmp_path) / "sea.usda", []
+    for nothing in (False, True):
+        if nothing:
+            monkeypatch.setattr(WaterView, "_things", lambda *_: (np.zeros(0, int), np.zeros((3, 0))))
+        with StageRenderer(StageReader(stage), (320, 180)) as renderer:
+            seen.append(renderer.render("low", 1001).astype(float))
+    redder = (seen[0] - seen[1]) @ (1.0, -0.5, -0.5)
+    red = seen[1] @ (1.0, -0.5, -0.5) > 60
+    foot = np.flatnonzero(red[:, 160]).max()
+    assert redder[foot + 8 : foot + 25, 150:170].mean() > 15
+    assert np.abs(redder[:, :40]).mean() < 1 and np.abs(redder[: foot - 3]).max() < 3
+
+
 def test_ripples_have_zero_mean_and_repeat():
     import io
 

@@ -262,7 +262,8 @@ def _drawn_inputs() -> dict[str, Any]:
     """The inputs of shaders that are drawn, with their types."""
     from pxr import Sdf
 
-    colours, numbers = ("diffuseColor", "emissiveColor"), ("opacity", "roughness", "metallic")
+    colours = "diffuseColor", "emissiveColor"
+    numbers = "opacity", "roughness", "metallic", "clearcoat", "clearcoatRoughness"
     types = dict.fromkeys(colours, Sdf.ValueTypeNames.Color3f) | dict.fromkeys(numbers, Sdf.ValueTypeNames.Float)
     return {f"inputs:{name}": kind for name, kind in types.items()}
 

@@ -28,6 +28,10 @@ PANEL, JOINT, HOLE = 1.0, 0.010, 0.022
 """Side of a concrete panel, half a joint between panels, and radius of the tie holes, m."""
 STOREY, BAY = 3.0, 2.0
 """Height of a storey and width of a window's bay, m."""
+CREASE = np.radians(30.0)
+"""Angle between faces up to which their common edge is shaded smooth, and a wall goes on, rad."""
+MEETING = 0.05
+"""Distance between the ends of two flat parts of a wall that meet, m."""
 LYING = 0.75
 """Z of the unit normal from which a face lies: bevelled edges of a box belong to its walls."""
 PAINTS: dict[str, Colour] = {
@@ -85,12 +89,13 @@ class Finish:
     """``paint(u, v, colour)``: linear colours (n, n, 3) at places (n, n) on the surface, m, ``v`` upwards.
 
     ``tile``: width and height of the part that repeats, m. If ``fits``, the obstacle is one tile high, and ``v`` goes
-    from 0 to 1.
+    from 0 to 1. Walls have a whole number of ``cells``, width and height in m, so that no window is cut at a corner.
     """
 
     paint: Callable[[Array, Array, Array], Array]
     tile: tuple[float, float] = (2.0, 2.0)
     fits: bool = False
+    cells: tuple[float, float] | None = None
     colour: Colour | None = None
     """linear; default: one of the `PAINTS` in turn"""
     roughness: float = 0.8
@@ -102,7 +107,9 @@ FINISHES = {
     "concrete": Finish(_concrete),
     "paint": Finish(_paint, roughness=0.45),
     "stripes": Finish(_stripes, tile=(1.0, 1.0), colour=(0.80, 0.50, 0.02), roughness=0.45),
-    "facade": Finish(_facade, tile=(8.0, 12.0), colour=(0.44, 0.40, 0.34), roughness=0.7, level="concrete"),
+    "facade": Finish(
+        _facade, tile=(8.0, 12.0), cells=(BAY, STOREY), colour=(0.44, 0.40, 0.34), roughness=0.7, level="concrete"
+    ),
     "bands": Finish(_bands, tile=(1.0, 1.0), fits=True, colour=(0.80, 0.14, 0.02), roughness=0.5),
 }
 """``finish`` of an obstacle -> what covers it."""
@@ -136,7 +143,42 @@ def coordinates(corners: Array, normals: Array, finish: str) -> Array:
     if FINISHES[finish].fits:
         low, high = corners[..., 2].min(), corners[..., 2].max()
         plane[..., 1] = np.clip((corners[..., 2] - low) / (high - low), 0.002, 0.998)  # it must not repeat at the ends
+    cells = FINISHES[finish].cells
+    if cells is not None:
+        plane = _whole_cells(corners, normals, cells)
     return np.asarray(plane / tile)
+
+
+def _whole_cells(corners: Array, normals: Array, cells: tuple[float, float]) -> Array:
+    """Places (m, 3, 2) on the walls of triangles (m, 3, 3), m: along each wall and upwards, stretched to whole
+    ``cells``. A wall is flat, or bends by less than `CREASE` from one flat part to the next, as round towers do."""
+    width, height = cells
+    across = normals[:, :2] / np.maximum(np.linalg.norm(normals[:, :2], axis=1, keepdims=True), 1e-9)
+    along = np.einsum("mck,mk->mc", corners[..., :2], across[:, ::-1] * (-1.0, 1.0))
+    away = np.einsum("mck,mk->m", corners[..., :2], across) / 3
+    flats, of_face = np.unique(np.column_stack([normals, away]).round(2), axis=0, return_inverse=True)
+    ends, places = np.zeros((len(flats), 2)), np.zeros((2, len(flats), 2))
+    for k in range(len(flats)):
+        on, at = along[of_face == k].ravel(), corners[of_face == k, :, :2].reshape(-1, 2)
+        ends[k], places[:, k] = (on.min(), on.max()), at[[on.argmin(), on.argmax()]]
+    starts, stops = places
+    meets = np.linalg.norm(stops[:, None] - starts[None], axis=2) < MEETING
+    bends = (flats[:, :3] @ flats[:, :3].T > np.cos(CREASE)) & ~np.eye(len(flats), dtype=bool)
+    after = {int(k): int(n) for k, n in np.argwhere(meets & bends)}
+    firsts = [k for k in range(len(flats)) if k not in after.values()]
+    u, v, left = np.zeros_like(along), corners[..., 2] - corners[..., 2].min(), {*range(len(flats))}
+    for first in [*firsts, *range(len(flats))]:  # then those of round towers, which have no first
+        wall = []
+        while first in left:
+            left.remove(first)
+            wall.append(first)
+            first = after.get(first, -1)
+        lengths = np.ptp(ends[wall], axis=1)
+        stretch = width * round(lengths.sum() / width) / max(lengths.sum(), 1e-9)
+        for flat, start in zip(wall, np.cumsum(lengths) - lengths, strict=True):
+            u[of_face == flat] = stretch * (start + along[of_face == flat] - ends[flat, 0])
+    v *= height * max(round(v.max() / height), 1) / v.max()
+    return np.stack([u, v], axis=-1)
 
 
 def author_material(stage: Any, path: str, file: Path, relative: str, finish: str, colour: Colour) -> Any:

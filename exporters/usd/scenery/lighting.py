@@ -60,7 +60,7 @@ MOODS: dict[str, Mood] = {
     "noon": Mood(
         elevations=(58.0, 66.0),
         sun_colour=(1.0, 0.95, 0.87),
-        sun_intensity=3.2,
+        sun_intensity=4.0,
         zenith=(0.11, 0.24, 0.52),
         horizon=(0.58, 0.68, 0.80),
         ground=(0.30, 0.27, 0.22),
@@ -86,7 +86,7 @@ MOODS: dict[str, Mood] = {
         ground=(0.006, 0.006, 0.007),
         glow=(0.010, 0.013, 0.018),
         cover=-0.2,
-        stars=900,
+        stars=2400,
     ),
 }
 """``render.mood`` of a shot file -> its light."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vehsim.delivery.take import Take
 from vehsim.exporters.usd.metadata import author_points
 from vehsim.exporters.usd.packing import Pack
-from vehsim.exporters.usd.scenery.finishes import FINISHES, PAINTS, Colour, author_material, coordinates, lying
+from vehsim.exporters.usd.scenery.finishes import CREASE, FINISHES, PAINTS, Colour, author_material, coordinates, lying
 from vehsim.exporters.usd.scenery.lighting import encode_srgb, to_linear
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CREASE = np.radians(30.0)
-"""Angle between faces up to which their common edge is shaded smooth, rad."""
 MOST = 4_000_000
 """Most pairs of faces at a common point; with more, all edges are sharp."""
 

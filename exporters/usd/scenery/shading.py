@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.exporters.usd.scenery.lighting import encode_srgb, to_linear, to_srgb
+from vehsim.exporters.usd.scenery.lighting import encode_srgb, latlong_directions, to_linear, to_srgb
 from vehsim.exporters.usd.stage import Material, Sky, Sun
 from vehsim.intake.images import read_colours
 
@@ -24,19 +24,34 @@ DIP = 8.0
 """Angle below the horizon at which a camera sees past the ground's edge, degrees: 300 m away, from 42 m up."""
 DEFAULT_SKY = np.array([0.30, 0.36, 0.44])
 """Light for a stage without lights, linear."""
-HIGHLIGHT = 1.35
-"""Linear display value of white in full sun."""
+HIGHLIGHT, SOFT = 1.35, 20.0
+"""Linear display value of white in full sun, and the sun's width in degrees at which it exceeds 1 by a third of that:
+under clouds, nothing dazzles."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Shares of linear red, green and blue in the luminance (Rec. 709)."""
 
 
+STAR, STARLIGHT = 0.003, 1.5
+"""Linear light by which a texel of a night's sky is a star, and how much brighter it is as a point than as a texel."""
 DIMMEST = 0.5
 """Linear light, in the units of USD, below which the exposure does not rise further: a night stays dark."""
+
+
+class Stars(NamedTuple):
+    """Unit ``directions`` (n, 3) in the world, and displayed ``colours`` (n, 3)."""
+
+    directions: Array
+    colours: Array
 
 
 @dataclass(frozen=True)
 class Light:
     """Display-space light: ``ambient`` everywhere, ``sky`` from above, ``bounce`` from below, ``sun`` along its ray.
 
-    ``haze`` is the colour of distant objects; ``skybox`` (6, n, n, 3) the faces of the sky.
+    ``haze`` is the colour of distant objects; ``image`` the linear latitude-longitude sky (h, w, 3) without stars,
+    ``skybox`` (6, n, n, 3) the faces of a cube with it; ``level`` the linear light
+    on level ground in the units of USD, before the ``exposure``; ``stars`` those of a night; ``sharp``: whether
+    the sun is narrow enough for shadows with an edge.
     """
 
     direction: Array
@@ -45,7 +60,12 @@ class Light:
     sky: Array
     bounce: Array
     haze: Array
+    image: Array
     skybox: NDArray[np.uint8]
+    stars: Stars
+    level: float
+    exposure: float
+    sharp: bool
 
 
 def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light:
@@ -61,6 +81,10 @@ def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light
     shade = _display(fill * exposure)
     lit = _display((fill + key.colour / np.pi) * exposure)
     horizon = image[int(image.shape[0] * 0.49)].mean(axis=0)
+    R_wd = np.eye(3) if sky is None else sky.R_wd
+    stars = Stars(np.zeros((0, 3)), np.zeros((0, 3)))
+    if (fill + key.colour / np.pi) @ LUMINANCE < DIMMEST:
+        image, stars = _without_stars(image, exposure, R_wd)
     behind = below_horizon(image) if grounded else image
     return Light(
         direction=key.direction,
@@ -69,14 +93,34 @@ def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light
         sky=0.42 * shade,
         bounce=0.46 * shade * (1.25, 0.96, 0.72),
         haze=to_srgb(horizon * exposure),
-        skybox=_cube_faces(behind * exposure, np.eye(3) if sky is None else sky.R_wd),
+        image=image,
+        skybox=_cube_faces(behind * exposure, R_wd),
+        stars=stars,
+        level=float((fill - key.colour / np.pi * min(float(key.direction[2]), 0.0)).max()),
+        exposure=exposure,
+        sharp=key.angle < SOFT,
     )
 
 
 def exposure_of(key: Sun, fill: Array) -> float:
-    """The factor on linear light that shows white in full sun just above display white, and darker below `DIMMEST`;
-    ``fill`` (3,) is the dome's mean."""
-    return HIGHLIGHT / max(float((fill + key.colour / np.pi).max()), DIMMEST)
+    """The factor on linear light that shows white in full sun just above display white, under clouds at it, and darker
+    below `DIMMEST`; ``fill`` (3,) is the dome's mean."""
+    white = 1.0 + (HIGHLIGHT - 1.0) * np.exp(-key.angle / SOFT)
+    return float(white / max(float((fill + key.colour / np.pi) @ LUMINANCE), DIMMEST))
+
+
+def _without_stars(image: Array, exposure: float, R_wd: Array) -> tuple[Array, Stars]:
+    """A latitude-longitude sky (h, w, 3) without its stars, and these: texels brighter than those on both
+    sides, as clouds near the horizon are not."""
+    from scipy.ndimage import maximum_filter, median_filter
+
+    around, beside = median_filter(image, (3, 3, 1)), np.array([[[True], [False], [True]]])
+    stars = (image - maximum_filter(image, footprint=beside)).max(axis=2) > STAR
+    rows, columns = np.nonzero(stars)
+    directions = latlong_directions(image.shape[1], image.shape[0])[rows, columns]
+    own = np.stack([directions[:, 0], directions[:, 2], -directions[:, 1]], axis=1)
+    light = np.minimum(STARLIGHT * exposure * (image - around)[rows, columns], 1.0)
+    return np.where(stars[..., None], around, image), Stars(own @ R_wd.T, to_srgb(light))
 
 
 def below_horizon(image: Array) -> Array:
@@ -140,6 +184,7 @@ def author_material(spec: Any, name: str, surface: Material, textures: dict[Path
     material.shininess = float(np.clip(gloss, 0.02, 0.9))
     material.emission = float(np.clip(surface.emission, 0.0, 1.0))
     material.reflectance = 0.0
+    material.roughness, material.metallic = surface.polish, surface.metallic
     if surface.texture is not None:
         if surface.texture not in textures:
             textures[surface.texture] = f"texture{len(textures)}"
@@ -147,6 +192,13 @@ def author_material(spec: Any, name: str, surface: Material, textures: dict[Path
         roles = list(material.textures)
         roles[mujoco.mjtTextureRole.mjTEXROLE_RGB] = textures[surface.texture]
         material.textures = roles
+
+
+def mean_of(surface: Material) -> Array:
+    """The mean albedo (3,) of a surface as it is displayed."""
+    if surface.texture is None:
+        return to_srgb(surface.colour)
+    return np.asarray(read_colours(surface.texture).mean(axis=(0, 1)) / 255.0)
 
 
 def _author_texture(spec: Any, name: str, path: Path) -> None:

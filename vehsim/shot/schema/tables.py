@@ -348,7 +348,7 @@ class RenderTable(Table):
     layout: Literal["separate", "side-by-side"] = "separate"
     """"side-by-side" for an additional film with the cameras' pictures beside each other, or "separate\""""
     mood: Literal["afternoon", "noon", "overcast", "dusk", "night"] = "afternoon"
-    """the light: "afternoon", "noon", "overcast", "dusk" or "night" (moon and stars)"""
+    """the light: "afternoon", "noon", "overcast", "dusk" or "night" (moon, stars and lamps)"""
     passes: Annotated[list[Literal["depth", "segmentation", "flow", "normals"]], Array, Len(0, 4)] = Field(default=[])
     """"depth" (metres, 32-bit TIFF), "segmentation" (a colour for each prim), "flow" (pixels to the next and to the
     previous frame, EXR) and "normals" (world axes, EXR), in addition to every picture"""

@@ -38,7 +38,8 @@ class StandingTable(Table):
     """a name of letters, digits and underscores, different for every obstacle"""
     finish: Literal["concrete", "paint", "stripes", "facade", "bands"] | None = None
     """what covers it in pictures: "concrete" in panels of 1 m, plain "paint", warning "stripes" 0.25 m wide, a house's
-    "facade" with storeys of 3 m, or the "bands" of a traffic cone; default: concrete, and bands for a cone"""
+    "facade" with storeys of about 3 m and no cut window, or the "bands" of a traffic cone; default: concrete, and bands
+    for a cone"""
     colour: Annotated[list[Annotated[Number, Field(ge=0, le=1)]], Array, Len(3, 3)] | None = None
     """the colour in pictures, [red, green, blue] from 0 to 1 as a colour picker shows it (sRGB); default: that of the
     finish"""
