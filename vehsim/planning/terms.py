@@ -463,7 +463,8 @@ class Limits:
         for name, (low, high) in self.joints.items():
             made.append(
                 Constraint(
-                    f"limit joints.{name}", _joint(name), low, high, over="between", slack=SLACK * max(-low, high),
+                    f"limit joints.{name}", _joint(name), low, high, over="between",
+                    slack=SLACK * max(abs(end) for end in (low, high) if math.isfinite(end)),
                     joint=name, identity=("limit joints", name, low, high),
                 )
             )  # fmt: skip

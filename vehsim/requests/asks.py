@@ -174,8 +174,9 @@ def limit_asks(
         yield Ask(f"limits.{name}", name, first, last, wanted, upper=value + slack, unit=unit)
     for kind, ranges in (("joint", joints), ("joint_rate", joint_rates)):
         for joint, (low, high) in ranges.items():
-            slack = SLACK * max(abs(low), abs(high))
-            bounds: dict[str, Any] = {"lower": low - slack, "upper": high + slack}
+            slack = SLACK * max(abs(end) for end in (low, high) if math.isfinite(end))
+            ends: dict[str, Any] = {"lower": low - slack, "upper": high + slack}
+            bounds = {side: end for side, end in ends.items() if math.isfinite(end)}
             yield Ask(f"limits.{kind}s.{joint}", kind, first, last, {"joint": joint}, **bounds)
 
 

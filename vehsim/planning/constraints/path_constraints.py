@@ -26,6 +26,7 @@ from vehsim.planning.request.legs import knots_within
 from vehsim.planning.request.marks import Mark
 from vehsim.planning.terms import Constraint, Cost, KnotView, SegmentView, Term
 from vehsim.planning.trajectory import Trajectory
+from vehsim.planning.trim import swims
 from vehsim.runtime.progress import Progress
 
 Array = NDArray[np.float64]
@@ -39,6 +40,9 @@ END = 1e-4
 """Distance of the last instant from the end of its segment, relative to the segment's duration."""
 SHARE = 0.25
 """Once one instant exceeds a constraint's slack, every instant that uses this share of it becomes a row."""
+TURNED = 0.025
+"""Share of its range that a joint which turns at its ends keeps free at knots: between them, snakeboards' joints went
+beyond by up to 3.7 %."""
 APART = 0.08
 """Minimum distance between instants of a segment, relative to its duration; a nearer instant replaces the old one."""
 
@@ -114,8 +118,20 @@ class PathConstraint(Block):
 
     def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
         if self.constraint.joint is not None:
-            bounds = {self.constraint.joint: (self.constraint.lower, self.constraint.upper)}
-            bound_joints(trajectory, bounds, lower, upper)
+            ends = self.constraint.lower, self.constraint.upper
+            bound_joints(trajectory, {self.constraint.joint: ends}, lower, upper)
+            if np.isfinite(ends).all() and swims(trajectory.request.vehicle):
+                self._turn_inside(trajectory, lower, upper)
+
+    def _turn_inside(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
+        """Narrow the bounds, in place, of a joint that turns at its ends, but at marks: between knots it swings beyond
+        them."""
+        term, layout = self.constraint, trajectory.layout
+        knots = np.setdiff1d(np.arange(layout.knots), layout.mark_knots)
+        joint = trajectory.request.vehicle.joints.index(term.joint or "")
+        rows = layout.knot(knots)[trajectory.transcription.sizes[0] + joint]
+        lower[rows] += TURNED * (term.upper - term.lower) / 2
+        upper[rows] -= TURNED * (term.upper - term.lower) / 2
 
     def prolongate(self, coarse: Trajectory, fine: Trajectory) -> PathConstraint:
         activated = self._activated(coarse)
@@ -177,7 +193,8 @@ class PathConstraint(Block):
         first, last = self._knots(trajectory.layout)
         seconds = trajectory.seconds()
         knots = (seconds - seconds[0])[first : last + 1]
-        if term.over not in ("everywhere", "between") or len(knots) < 2:
+        apart = term.over not in ("everywhere", "between") or len(knots) < 2
+        if apart or (term.joint is not None and _within(clip, term)):
             return np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
         frame = 1 / float(clip.fps)
         counts = np.maximum(np.ceil(np.diff(knots) / frame * FINE - 1e-9), LEAST).astype(int)
@@ -193,6 +210,16 @@ class PathConstraint(Block):
             np.broadcast_to(np.asarray(bound, float), (len(values),))[:, None] for bound in (term.lower, term.upper)
         )
         return np.maximum(values - high, low - values), values, times
+
+
+def _within(clip: Clip, term: Constraint) -> bool:
+    """Whether a joint keeps to its range throughout a clip, because the control points of its cubics do."""
+    assert term.joint is not None
+    joint = clip.vehicle.joints.index(term.joint)
+    values, reach = clip.joints[:, joint], clip.joint_rates[:, joint] / 3
+    h = np.diff(clip.times)
+    points = np.concatenate([values, values[:-1] + h * reach[:-1], values[1:] - h * reach[1:]])
+    return bool(points.min() >= term.lower - term.slack and points.max() <= term.upper + term.slack)
 
 
 def accelerated(transcription: Transcription, term: Term) -> bool:

@@ -44,7 +44,7 @@ def asks_of(request: Request, frames: Sequence[float]) -> list[Ask]:
     limits = {name: (value, LIMITS[name].unit) for name, value in request.limits.values.items()}
     planar = request.vehicle.group.planar
     relief = _relief(request)
-    asks += limit_asks(first, last, limits, request.limits.joints, request.limits.joint_rates, planar, relief)
+    asks += limit_asks(first, last, limits, request.joint_ranges, request.limits.joint_rates, planar, relief)
     asks += [*_character(request, first, last), *_ease(request, closed(marks) if request.loop else marks, frames)]
     asks += _actuators(request.vehicle, first, last)
     asks += _ranges(request, first, last)

@@ -98,10 +98,20 @@ class Request:
 
     @property
     def constraints(self) -> list[Constraint]:
-        """The limits, the user's constraints, the turning of a start in motion, and the descent speeds of landings."""
+        """The limits and ranges of joints, the user's constraints, the turning of a start in motion, and the descent
+        speeds of landings."""
         own = (term for term in self.terms if isinstance(term, Constraint))
         starts = () if self.loop or "turn_rate" in self.limits.values else starting(self.vehicle, self.marks[0])
-        return [*self.limits.constraints(), *own, *starts, *map(descent, landings(self.marks))]
+        limits = replace(self.limits, joints=self.joint_ranges)
+        return [*limits.constraints(), *own, *starts, *map(descent, landings(self.marks))]
+
+    @property
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """The least and greatest values of joints by name: those of the vehicle and of the limits."""
+        own, asked, free = self.vehicle.joint_limits, self.limits.joints, (-math.inf, math.inf)
+        pairs = {joint: (own.get(joint, free), asked.get(joint, free)) for joint in {**own, **asked}}
+        ranges = {joint: (max(a[0], b[0]), min(a[1], b[1])) for joint, (a, b) in pairs.items()}
+        return {joint: ends for joint, ends in ranges.items() if np.isfinite(ends).any()}
 
     def aimed(self, mark: Mark) -> bool:
         """Whether a constraint sets the heading at this mark, or between it and the places before and after: the time
