@@ -285,7 +285,7 @@ def test_a_joint_outside_its_range_is_named_with_its_value() -> None:
     data = {"shot": {"schema": 1, "name": "a"}, "vehicle": [{"name": "s", "asset": "snakeboard", "motion": motion}]}
     (problem,) = Shot.from_dict(data).check()
     assert str(problem) == (
-        "vehicle[0].motion.mark[1].joints.phi = 1.5: outside -0.7 to 0.7; keep it inside, or leave it free"
+        "vehicle[0].motion.mark[1].joints.phi = 1.5: outside -0.7 to 0.7 rad; keep it inside, or leave it free"
     )
 
 

@@ -97,13 +97,13 @@ def _alone(request: Request, mark: Mark) -> list[Refusal]:
 def _bent_too_far(request: Request, mark: Mark) -> list[Refusal]:
     """Joints outside the vehicle's own bounds or the requested limits."""
     values = () if mark.joints is None else np.asarray(mark.joints, float)
-    found = []
+    ranges, units, found = request.joint_ranges, request.vehicle.joint_units, []
     for name, value in zip(request.vehicle.joints, values, strict=False):
-        for bounds in (request.vehicle.joint_limits.get(name), request.limits.joints.get(name)):
-            if bounds is not None and not (bounds[0] - 1e-9 <= value <= bounds[1] + 1e-9 or math.isnan(value)):
-                message = f"outside {bounds[0]:g} to {bounds[1]:g}"
-                remedy = "keep it inside, or leave it free"
-                found.append(Refusal(mark, f"joints.{name}", message, remedy, value=float(value)))
+        low, high = ranges.get(name, (-math.inf, math.inf))
+        if not (low - 1e-9 <= value <= high + 1e-9 or math.isnan(value)):
+            message = f"outside {low:g} to {high:g} {units.get(name, 'rad')}".removesuffix(" 1")
+            remedy = "keep it inside, or leave it free"
+            found.append(Refusal(mark, f"joints.{name}", message, remedy, value=float(value)))
     return found
 
 
