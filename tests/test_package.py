@@ -9,6 +9,7 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -146,6 +147,7 @@ def test_what_cannot_draw_here_says_what_to_do_on_this_system(
 
     from vehsim.errors import ExportError
     from vehsim.exporters.pictures.canvas import Canvas
+    from vehsim.exporters.usd.scenery.shading import NO_STARS
 
     def fail(width: int, height: int) -> None:
         raise RuntimeError("no device")
@@ -153,7 +155,7 @@ def test_what_cannot_draw_here_says_what_to_do_on_this_system(
     monkeypatch.setattr(mujoco, "GLContext", fail)
     monkeypatch.setattr(sys, "platform", system)
     with pytest.raises(ExportError, match=f"no .*OpenGL.*: no device; .*{says}"):
-        Canvas(mujoco.MjModel.from_xml_string("<mujoco/>"), 32, 18)
+        Canvas(mujoco.MjModel.from_xml_string("<mujoco/>"), 32, 18, np.zeros(3), NO_STARS)
 
 
 def test_a_context_that_only_warned_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,6 +164,7 @@ def test_a_context_that_only_warned_says_what_to_do(monkeypatch: pytest.MonkeyPa
 
     from vehsim.errors import ExportError
     from vehsim.exporters.pictures.canvas import Canvas
+    from vehsim.exporters.usd.scenery.shading import NO_STARS
 
     class Silent:
         def __init__(self, width: int, height: int) -> None: ...
@@ -175,7 +178,7 @@ def test_a_context_that_only_warned_says_what_to_do(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(mujoco, "MjrContext", fail)
     monkeypatch.setattr(sys, "platform", "win32")
     with pytest.raises(ExportError, match=r"no OpenGL: .*; run it in a desktop session"):
-        Canvas(mujoco.MjModel.from_xml_string("<mujoco/>"), 32, 18)
+        Canvas(mujoco.MjModel.from_xml_string("<mujoco/>"), 32, 18, np.zeros(3), NO_STARS)
 
 
 def test_every_dependency_has_an_upper_bound() -> None:

@@ -353,4 +353,4 @@ def test_marks_of_every_kind_are_dragged(kind, tmp_path):
     place = (x + 0.5, y - 0.5, z)
     session.drag(Drag(key="vehicle[0].motion.mark[1].position", position=place))
     reached = session._drafts["one"].draft.clip().positions[-1, :2]
-    assert abs(reached - place[:2]).max() <= (0.5 if "tolerance" in mark else 1e-3)
+    assert abs(reached - place[:2]).max() <= (0.5 if "tolerance" in mark else 0.01)  # the next event goes on from there

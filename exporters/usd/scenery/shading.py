@@ -44,6 +44,9 @@ class Stars(NamedTuple):
     colours: Array
 
 
+NO_STARS = Stars(np.zeros((0, 3)), np.zeros((0, 3)))
+
+
 @dataclass(frozen=True)
 class Light:
     """Display-space light: ``ambient`` everywhere, ``sky`` from above, ``bounce`` from below, ``sun`` along its ray.
@@ -82,7 +85,7 @@ def light_for(sun: Sun | None, sky: Sky | None, grounded: bool = False) -> Light
     lit = _display((fill + key.colour / np.pi) * exposure)
     horizon = image[int(image.shape[0] * 0.49)].mean(axis=0)
     R_wd = np.eye(3) if sky is None else sky.R_wd
-    stars = Stars(np.zeros((0, 3)), np.zeros((0, 3)))
+    stars = NO_STARS
     if (fill + key.colour / np.pi) @ LUMINANCE < DIMMEST:
         image, stars = _without_stars(image, exposure, R_wd)
     behind = below_horizon(image) if grounded else image
