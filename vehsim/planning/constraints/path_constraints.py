@@ -128,7 +128,8 @@ class PathConstraint(Block):
         them."""
         term, layout = self.constraint, trajectory.layout
         knots = np.setdiff1d(np.arange(layout.knots), layout.mark_knots)
-        joint = trajectory.request.vehicle.joints.index(term.joint or "")
+        assert term.joint is not None
+        joint = trajectory.request.vehicle.joints.index(term.joint)
         rows = layout.knot(knots)[trajectory.transcription.sizes[0] + joint]
         lower[rows] += TURNED * (term.upper - term.lower) / 2
         upper[rows] -= TURNED * (term.upper - term.lower) / 2
