@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ NO_OPENGL = {
     "win32": ("no OpenGL", f"run it in a desktop session with the driver of a GPU, {WITHOUT}"),
 }
 """By `sys.platform`, what is missing where MuJoCo cannot draw, and the remedy."""
+FRUSTUM = [f"frustum_{part}" for part in ("near", "far", "center", "width", "bottom", "top")]
 STAR_POINTS = 900
 """Width of a picture in the points of which a star has one."""
 OPAQUE, TRANSLUCENT, CASTING = 0, 1, 2
@@ -146,9 +148,6 @@ class Canvas:
         seen, water = self.scene.camera[0], self._model.geom("water").id
         eye, forward, up = (np.array(each, float) for each in (seen.pos, seen.forward, seen.up))
         eye[2], forward[2], up[:2] = 2 * level - eye[2], -forward[2], -up[:2]  # its picture is upside down
-        for camera in self.solid.camera:
-            camera.pos, camera.forward, camera.up = eye, forward, up
-            camera.frustum_bottom, camera.frustum_top = -seen.frustum_top, -seen.frustum_bottom
         for geom in self.solid.geoms[: self.solid.ngeom]:
             if geom.objid == water:
                 geom.rgba[3] = 0
@@ -156,12 +155,13 @@ class Canvas:
         GL.glLoadIdentity()
         GL.glClipPlane(GL.GL_CLIP_PLANE1, [*(float(axis[2]) for axis in axes), float(eye[2]) - level])
         GL.glEnable(GL.GL_CLIP_PLANE1)
-        self._draw(self.solid, size)
+        with self._elsewhere() as cameras:
+            for camera in cameras:
+                camera.pos, camera.forward, camera.up = eye, forward, up
+                camera.frustum_bottom, camera.frustum_top = -seen.frustum_top, -seen.frustum_bottom
+            self._draw(self.solid, size)
         GL.glDisable(GL.GL_CLIP_PLANE1)
         picture, depth = self._colour(size)[::-1], self.depth(size)[::-1]
-        for camera, own in zip(self.solid.camera, self.scene.camera, strict=True):
-            camera.pos, camera.forward, camera.up = own.pos, own.forward, own.up
-            camera.frustum_bottom, camera.frustum_top = own.frustum_bottom, own.frustum_top
         for geom in self.solid.geoms[: self.solid.ngeom]:
             if geom.objid == water:
                 geom.rgba[3] = 1
@@ -199,13 +199,22 @@ class Canvas:
         """The depth (h, w) m of solid things from another place, from the bottom row up; ``half``: width and height of
         the view at distance 1."""
         far = 1e3 * near
-        for camera in self.solid.camera:
-            camera.pos, camera.forward, camera.up = eye, forward, up
-            camera.frustum_near, camera.frustum_far = near, far
-            camera.frustum_center, camera.frustum_width = 0.0, half[0] * near
-            camera.frustum_bottom, camera.frustum_top = -half[1] * near, half[1] * near
-        self._draw(self.solid, size)
+        with self._elsewhere() as cameras:
+            for camera in cameras:
+                camera.pos, camera.forward, camera.up = eye, forward, up
+                camera.frustum_near, camera.frustum_far = near, far
+                camera.frustum_center, camera.frustum_width = 0.0, half[0] * near
+                camera.frustum_bottom, camera.frustum_top = -half[1] * near, half[1] * near
+            self._draw(self.solid, size)
         return distance_of(self.depth(size), (near, far))
+
+    @contextmanager
+    def _elsewhere(self) -> Iterator[Any]:
+        """The cameras of the scene of solid things, for a view from another place; then they are as they were."""
+        yield self.solid.camera
+        for camera, own in zip(self.solid.camera, self.scene.camera, strict=True):
+            for name in ("pos", "forward", "up", *FRUSTUM):
+                setattr(camera, name, getattr(own, name))
 
     def draw_ids(self, size: tuple[int, int], translucent: bool = False) -> NDArray[np.int64]:
         """The visible opaque geom (h, w), -1 for none, from the bottom row up; or the ``translucent`` one that would be
