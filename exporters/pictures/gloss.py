@@ -6,6 +6,7 @@ pixels below, in linear light, by Fresnel's effect.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
@@ -59,7 +60,7 @@ UNIFORMS = "sky", "drawn", "to_sky", "size", "haze", "ground", "colour", "roughn
 class Gloss:
     """Draws what smooth geoms mirror: the skybox ``sky`` and, below the horizon, the displayed colour ``ground`` (3,).
 
-    The ``context`` of the model must be current.
+    The ``context`` of the model must be current. Warns where its OpenGL has no such shader: nothing is mirrored then.
     """
 
     def __init__(self, model: Any, context: Any, sky: int, ground: NDArray[np.float64]) -> None:
@@ -70,7 +71,11 @@ class Gloss:
         self._roughness, self._metallic = model.mat_roughness, model.mat_metallic
         self._texels = int(model.tex_width[model.tex_type.argmax()])
         kinds = (VERTEX, GL.GL_VERTEX_SHADER), (FRAGMENT, GL.GL_FRAGMENT_SHADER)
-        self._program = shaders.compileProgram(*(shaders.compileShader(*kind) for kind in kinds), validate=False)
+        self._program: Any = None
+        try:
+            self._program = shaders.compileProgram(*(shaders.compileShader(*kind) for kind in kinds), validate=False)
+        except (shaders.ShaderCompilationError, shaders.ShaderLinkError, GL.GLError):
+            warnings.warn("this OpenGL cannot draw what paint, chrome and glass mirror: pictures lack it", stacklevel=2)
         self._drawn = int(GL.glGenTextures(1))
 
     def draw(self, geoms: Iterable[Any], camera: Any, size: tuple[int, int], haze: tuple[float, float]) -> None:
@@ -80,7 +85,7 @@ class Gloss:
         from OpenGL.raw.GL.VERSION.GL_1_0 import glMultMatrixf
 
         smooth = [geom for geom in geoms if geom.matid >= 0 and self._roughness[geom.matid] < SMOOTH]
-        if not smooth:
+        if not smooth or self._program is None:
             return
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._drawn)
         GL.glCopyTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGB8, 0, 0, *size, 0)

@@ -673,3 +673,15 @@ def test_points_far_from_the_origin_keep_their_place(place):
     there = np.array([T.Transform(Gf.Vec3d(*point)) for point in mesh.GetPointsAttr().Get()])
     np.testing.assert_allclose(there, points, atol=1e-3)
     assert mesh.GetOrderedXformOps() == [] or place[0] > 1e5
+
+
+def test_an_opengl_without_shaders_draws_no_mirrors_and_says_so(new_stage, tmp_path, monkeypatch):
+    from OpenGL.GL import shaders
+
+    def fail(*_args):
+        raise shaders.ShaderCompilationError("no GLSL")
+
+    monkeypatch.setattr(shaders, "compileShader", fail)
+    with pytest.warns(UserWarning, match="cannot draw what paint, chrome and glass mirror"):
+        seen, sky = mirrored(new_stage, tmp_path, -45.0)
+    assert np.abs(seen - sky).max() > 40
