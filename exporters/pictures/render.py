@@ -77,8 +77,9 @@ class StageRenderer:
         self._shades = Shades(stage)
         self._lamps = lamps.lamps_of(stage, self._light)
         self._supersample = max(1, min(SUPERSAMPLE, round(samples**0.5), LARGEST // max(size)))
-        width, height = self._supersample * size[0], self._supersample * size[1]
-        self._model = self._spec(width, height).compile()
+        self._size = width, height = self._supersample * size[0], self._supersample * size[1]
+        beam = lamps.PIXELS if self._lamps else (0, 0)  # what is read from beyond the buffer is undefined
+        self._model = self._spec(max(width, beam[0]), max(height, beam[1])).compile()
         self._data = mujoco.MjData(self._model)
         grain = {f"shape{k}": strength for k, strength in enumerate(strengths_of(stage.shapes))}
         geoms = [self._model.geom(k).name for k in range(self._model.ngeom)]
@@ -88,7 +89,6 @@ class StageRenderer:
         self._mocap = {
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
-        self._size = width, height
         self._canvas = Canvas(self._model, width, height, self._below(), self._light.stars)
 
     def __enter__(self) -> StageRenderer:

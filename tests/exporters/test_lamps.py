@@ -7,11 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.shots import driven
 from vehsim.exporters.pictures.lamps import DARK, Lamp, haloed, lamps_of, lit
+from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.surfaces import Material
 from vehsim.exporters.usd.scenery.lighting import MOODS, encode_srgb, latlong_directions, write_sky
 from vehsim.exporters.usd.scenery.shading import light_for
-from vehsim.exporters.usd.stage import Shape, Sky, Sun
+from vehsim.exporters.usd.stage import Shape, Sky, StageReader, Sun
+from vehsim.shot import Shot
 
 WHITE, RED = (0.9, 0.9, 0.85), (0.4, 0.01, 0.01)
 UPRIGHT = np.eye(3)[[0, 2, 1]] * [1, 1, -1]
@@ -113,3 +116,14 @@ def test_stars_are_points_where_the_sky_has_them(tmp_path):
     (star,) = found.stars.directions
     assert star == pytest.approx(latlong_directions(128, 64)[20, 40])
     assert np.ptp(found.image) < 0.001 and np.ptp(found.skybox) <= 1
+
+
+@pytest.mark.parametrize("mood", ["noon", "night"])
+def test_a_picture_does_not_depend_on_what_was_drawn_before(tmp_path, mood):
+    """A lamp's beam has a view of its own."""
+    (tmp_path / "drive.toml").write_text(driven() + f'[camera]\nrig = "chase"\n[render]\nmood = "{mood}"\n')
+    stage = StageReader(Shot.load(tmp_path / "drive.toml").solve().export(tmp_path, to=("usd",)) / "drive.usda")
+    with StageRenderer(stage, (320, 180)) as renderer:
+        assert bool(renderer._lamps) == (mood == "night")
+        alone, *_, after = (renderer.render("chase", frame) for frame in (1007, 1001, 1004, 1007))
+    assert (after == alone).all()
