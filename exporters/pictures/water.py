@@ -41,7 +41,7 @@ FOAM, THIN = 0.78, 0.62
 BUBBLES = np.array([0.05, 0.17, 0.17])
 """Linear colour of water with bubbles in it, under foam and around it."""
 EDGE = 4
-"""Texels around the used part of the texture that repeat its border: smaller copies of the texture blend over it."""
+"""Texels around the used part of the texture that repeat its border: beyond the texture's edge is its opposite one."""
 RIPPLES, RIPPLE_LENGTHS, RIPPLES_END = 18, (0.16, 1.8), 58.5
 """Ripples that only the texture has, their lengths m, and the distance up to which the last of them are visible, m."""
 TEXELS = (2.0, 4.0)
@@ -103,6 +103,16 @@ class Texels:
         """Texture coordinates (m, 2) of the net's places in a texture of ``size`` (rows, columns)."""
         v, u = (np.concatenate([[EDGE], end]) / total for end, total in zip(self.ends, size, strict=True))
         return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+
+    def nearest(self, size: tuple[int, int]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Row and column of the nearest drawn texel to each of a texture of ``size`` (rows, columns): its smaller
+        copies blend the others into water at grazing angles, which would show what an earlier frame left there."""
+        from scipy.ndimage import distance_transform_edt
+
+        empty = np.ones(size, bool)
+        empty[self.rows, self.columns] = False
+        row, column = distance_transform_edt(empty, return_distances=False, return_indices=True)
+        return row, column
 
     def between(self, fields: Array) -> NDArray[np.float32]:
         """Values (m, k) of the net's places on the texels (k, n)."""
@@ -203,9 +213,7 @@ class WaterView:
         start, (rows, cols) = model.tex_adr[texture], self._size
         image = model.tex_data[start : start + 3 * rows * cols].reshape(rows, cols, 3)
         image[texels.rows, texels.columns] = self._picture(texels, camera, mirrored)
-        bottom, right = (int(end[-1]) for end in texels.ends)
-        image[:EDGE], image[bottom : bottom + EDGE] = image[EDGE], image[bottom - 1]
-        image[:, :EDGE], image[:, right : right + EDGE] = image[:, EDGE : EDGE + 1], image[:, right - 1 : right]
+        image[:] = image[texels.nearest(self._size)]
         mujoco.mjr_uploadTexture(model, context, texture)
 
     def _texels(self, camera: Any, height: int) -> Texels:
@@ -219,7 +227,8 @@ class WaterView:
         away = net - eye
         distance = np.maximum(np.linalg.norm(away, axis=2), 0.3)
         ahead = (away @ forward) / distance
-        seen = ahead > math.cos(min(BEYOND_VIEW * math.atan(math.hypot(tall, wide) / 2), math.pi))
+        least = math.cos(min(BEYOND_VIEW * math.atan(math.hypot(tall, wide) / 2), math.pi))
+        seen = ahead >= min(least, ahead.max())  # a long lens may look between all places of the net
         seen = maximum_filter(seen, 5)  # and the cells around them
         sides, counts = [], []
         for axis in (0, 1):
