@@ -124,8 +124,8 @@ class Staged:
             y = ca.reshape(_at(whole, variables.T.ravel()), n, count)
             given = ca.reshape(_at(p, use.parameters.T.ravel()), *use.parameters.shape)
             given = ca.vertcat(given, ca.DM(use.constants)) if len(use.constants) else given
-            arguments = (y, given)
-            cost, values = use.mapped(element.value)(*arguments)
+            arguments = (y, use.with_models(y, given, 2, differentiable=True))
+            cost, values = use.mapped(element.value, differentiable=True)(*arguments)
             if not element.f.is_zero():
                 f += ca.sum2(cost)
                 _, slope = use.mapped(element.gradient)(*arguments)

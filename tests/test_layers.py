@@ -40,7 +40,7 @@ LAYERS = (
 )
 """Rooms from top to bottom, as in docs/architecture.md; rooms on one layer do not import each other."""
 
-HEAVY = {"mujoco", "pxr", "casadi", "scipy", "trimesh", "igl", "shapely", "PIL", "av"}
+HEAVY = {"mujoco", "pxr", "casadi", "scipy", "trimesh", "igl", "shapely", "PIL", "av", "llvmlite"}
 
 
 @cache

@@ -2,16 +2,20 @@
 
 import copy
 import pickle
-import shutil
+import sys
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import vehsim
 from vehsim.errors import InputError, SolveError
 from vehsim.integrators import Integrator
-from vehsim.integrators.fast import machine
+from vehsim.integrators.fast import kernel
+from vehsim.integrators.fast.kernel import Kernel
+from vehsim.runtime import machine_code
+from vehsim.runtime.machine_code import MachineCode
 from vehsim.vehicles import State
 from vehsim.vehicles.models.snakeboard import snakeboard
 
@@ -20,14 +24,6 @@ CASES = {
     "helicopter": (State(twist=(0.1, 0.2, 0.3, 1, 2, 3)), lambda t: (18639 + 900 * np.sin(t), 50 * t, 0.02, 0 * t)),
     "car": (State(twist=(0, 5.0, 0)), lambda t: (900 * np.sin(2 * t), 0.3 * np.cos(t))),
 }
-needs_compiler = pytest.mark.skipif(machine.compiler() is None, reason="no C compiler")
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
-    machine._warn_once.cache_clear()
-    return tmp_path / "machine-code"
 
 
 def fresh(name):
@@ -40,19 +36,25 @@ def table(name, n):
     return np.column_stack([np.broadcast_to(column, t.shape) for column in CASES[name][1](t)])
 
 
-def same(clip, other, atol=1e-11):
+def same(clip, other):
     for field in ("positions", "orientations", "twists", "joints", "joint_rates"):
-        np.testing.assert_allclose(getattr(clip, field), getattr(other, field), rtol=1e-11, atol=atol)
+        np.testing.assert_array_equal(getattr(clip, field), getattr(other, field))
     for group in ("channels", "energy"):
         assert getattr(clip, group).keys() == getattr(other, group).keys()
         for key, values in getattr(clip, group).items():
-            np.testing.assert_allclose(values, getattr(other, group)[key], rtol=1e-9, atol=1e-6)
+            np.testing.assert_array_equal(values, getattr(other, group)[key])
 
 
-@needs_compiler
+def test_a_long_step_by_machine_code_falls_back_too():
+    start, controls = State(twist=(0.4, 3.0, 0.3, 1, 0, 0)), np.tile([18639.0, 0, 0, 0], (40, 1))
+    plain = Integrator(fresh("helicopter"), 0.2, "exp").rollout(start, controls)
+    same(Integrator(fresh("helicopter"), 0.2, "exp", compiled=True).rollout(start, controls), plain)
+
+
 @pytest.mark.parametrize("name", CASES)
-def test_machine_code_gives_the_same_motion_and_is_cached(name, cache):
-    vehicle, (start, _), controls = fresh(name), CASES[name], table(name, 300)
+def test_machine_code_gives_the_same_bits(name):
+    """From the first step, and from the first one that is worth it."""
+    vehicle, (start, _), controls = fresh(name), CASES[name], table(name, 600)
     plain = Integrator(vehicle, H).rollout(start, controls)
     fast = Integrator(vehicle, H, compiled=True)
     assert fast.compiled and not Integrator(vehicle, H).compiled
@@ -64,40 +66,74 @@ def test_machine_code_gives_the_same_motion_and_is_cached(name, cache):
         state = fast.step(state, controls[k], controls[k + 1])
     for reached in (motion.state(), state):
         np.testing.assert_allclose(reached.position, plain.positions[20], atol=1e-11)
-    built = {path: path.stat().st_mtime_ns for path in cache.iterdir()}
-    assert len(built) >= 3 and all(path.suffix == ".so" for path in built)  # step, clip, public step, ...
-    again = Integrator(fresh(name), H, compiled=True)
-    same(again.rollout(start, controls), plain)
-    assert {path: path.stat().st_mtime_ns for path in cache.iterdir()} == built
+    own = fresh(name)
+    long = Integrator(own, H).rollout(start, np.tile(controls, (1 + kernel.WORTH // len(controls), 1)))
+    np.testing.assert_array_equal(long.positions[:601], plain.positions)
 
 
-@needs_compiler
-def test_a_spoilt_library_is_built_again_and_long_steps_fall_back(cache):
-    start, controls = State(twist=(0.4, 3.0, 0.3, 1, 0, 0)), np.tile([18639.0, 0, 0, 0], (40, 1))
-    plain = Integrator(fresh("helicopter"), 0.2, "exp").rollout(start, controls)
-    for _ in range(2):
-        same(Integrator(fresh("helicopter"), 0.2, "exp", compiled=True).rollout(start, controls), plain, atol=1e-8)
-        for path in cache.iterdir():  # not truncated in place: it may be mapped
-            path.unlink()
-            path.write_bytes(b"\x7fELF cut short")
+def small():
+    x = ca.SX.sym("x", 2)
+    return ca.Function("f", [x], [ca.vertcat(x[0] + ca.sin(x[1]), x[1])])
 
 
-def test_missing_and_broken_compilers_warn(monkeypatch, tmp_path):
+def evaluated(k, rows):
+    out = np.empty_like(rows)
+    k.rows([rows], [out])
+    return out
+
+
+def test_rows_become_machine_code_when_that_is_worth_it(monkeypatch):
+    """All kernels of a function share it; one whose result differs from the interpreter's is not used."""
+    rows = np.random.default_rng(0).normal(size=(kernel.WORTH - 1, 2))
+    function = small()
+    own, other = Kernel(function), Kernel(function)
+    expected = evaluated(own, rows)
+    np.testing.assert_allclose(expected, np.column_stack([rows[:, 0] + np.sin(rows[:, 1]), rows[:, 1]]), rtol=1e-15)
+    assert not own.compiled
+    evaluated(own, rows[:1])
+    assert own.compiled and other.compiled and not Kernel(small()).compiled
+    np.testing.assert_array_equal(evaluated(other, rows), expected)
+    np.testing.assert_array_equal(np.ravel(own(rows[5])), expected[5])
+
+    wrong = Kernel(small())
+    monkeypatch.setattr(MachineCode, "rows", lambda self, inputs, outputs: [out.fill(1.0) for out in outputs])
+    for _ in range(3):
+        np.testing.assert_array_equal(evaluated(wrong, rows), expected)
+    assert not wrong.compiled
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_steps_one_by_one_become_machine_code_too(name, monkeypatch):
+    """In place, and from state to state, unless they are short, as those of a car."""
+    vehicle, start, controls = fresh(name), CASES[name][0], table(name, 60)
+    integrator = Integrator(vehicle, H)
+    plain = integrator.rollout(start, controls)
+    monkeypatch.setattr(kernel, "WORTH", 20)
+    integrator = Integrator(fresh(name), H)
+    motion, state = integrator.stepper(start, controls[0]), start
+    for k in range(60):
+        motion.controls[:] = controls[k + 1]
+        motion.step()
+        state = integrator.step(state, controls[k], controls[k + 1])
+    assert motion._kernel.compiled == (name == "helicopter") and integrator._public._kernel.compiled
+    np.testing.assert_array_equal(motion.state().position, plain.positions[60])
+    np.testing.assert_allclose(state.position, plain.positions[60], atol=1e-11)
+
+
+def test_without_llvm_the_interpreter_stays(monkeypatch):
     start, controls = CASES["car"][0], table("car", 20)
     plain = Integrator(fresh("car"), H).rollout(start, controls)
-    monkeypatch.setattr(machine, "compiler", lambda: None)
-    with pytest.warns(UserWarning, match="no C compiler: set CC"):
+    monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
+    for cached in (machine_code._llvm, kernel._warn_once):
+        cached.cache_clear()
+    with pytest.warns(UserWarning, match="no machine code: .*llvmlite"):
         without = Integrator(fresh("car"), H, compiled=True)
-    assert not without.compiled
-    same(without.rollout(start, controls), plain)
-    monkeypatch.setattr(machine, "compiler", lambda: [shutil.which("false") or "false"])
-    with pytest.warns(UserWarning, match="cannot build here"):
-        without = Integrator(fresh("car"), H, compiled=True)
+    machine_code._llvm.cache_clear()
     assert not without.compiled
     same(without.rollout(start, controls), plain)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("name", CASES)
 def test_vehicles_side_by_side_move_as_they_do_one_by_one(name, compiled):
     vehicle, n, m = fresh(name), 300, 5
@@ -140,34 +176,3 @@ def test_a_state_from_a_step_may_be_changed_copied_and_sent(name):
     for other in (deep, sent, replace(state, position=state.position.copy()), state_moved):
         other.position[0] += 5
         np.testing.assert_array_equal(integrator.step(other, c).position, moved.position)
-
-
-@needs_compiler
-@pytest.mark.parametrize("what", ["folder", "above", "library", "link"])
-def test_machine_code_that_others_can_write_is_not_run(what, cache, recwarn):
-    """A folder of other users is not used; a library in ours is built again."""
-    start, controls = State(twist=(0, 5.0, 0)), table("car", 10)
-    plain = Integrator(fresh("car"), H).rollout(start, controls)
-    same(Integrator(fresh("car"), H, compiled=True).rollout(start, controls), plain)
-    assert cache.stat().st_mode & 0o077 == 0
-    for path in list(cache.iterdir()):
-        evil = path.with_name("evil.so")
-        shutil.copy(path, evil)
-        path.unlink()
-        if what == "link":
-            path.symlink_to(evil)
-        else:
-            path.write_bytes(b"not what was built")
-            path.chmod(0o666 if what == "library" else 0o600)
-    before = {path: path.read_bytes() for path in cache.iterdir()}
-    cache.chmod(0o777 if what == "folder" else 0o700)
-    cache.parent.chmod(0o777 if what == "above" else 0o700)
-    again = Integrator(fresh("car"), H, compiled=True)
-    same(again.rollout(start, controls), plain)
-    texts = [str(w.message) for w in recwarn if "other users can write" in str(w.message)]
-    if what in ("folder", "above"):
-        assert len(texts) == 1 and f"chmod go-w {cache if what == 'folder' else cache.parent}," in texts[0]
-        assert {path: path.read_bytes() for path in cache.iterdir()} == before
-    else:
-        libraries = [path for path in cache.iterdir() if path.name != "evil.so"]
-        assert not texts and all(not path.is_symlink() and path.stat().st_mode & 0o077 == 0 for path in libraries)

@@ -206,10 +206,14 @@ def test_the_curves_of_a_hull_are_looked_up_without_a_difference(order):
     rng = np.random.default_rng(1)
     y, p, weights = rng.normal(size=(looked_up.y.shape[0], 8)), np.tile(WIND[:, None], 8), rng.normal(size=(9, 8))
     y[:-1] *= 5.0
+    speeds = np.asarray(looked_up.points.map(8)(y, p)).reshape(1, -1, order="F")
+    pieces = np.asarray(looked_up.table.function(speeds.size, 0)(speeds))
+    models = np.vstack([p, np.vstack([speeds, pieces]).reshape(-1, 8, order="F")])
+    both = ((looked_up, models), (steps, p))
     for name in ("value", "jacobian"):
-        made, expected = (getattr(element, name).map(8)(y, p)[1] for element in (looked_up, steps))
+        made, expected = (getattr(element, name).map(8)(y, given)[1] for element, given in both)
         np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-10)
-    bent, expected = (element.hessian[0].map(8)(y, p, np.ones((1, 8)), weights) for element in (looked_up, steps))
+    bent, expected = (element.hessian[0].map(8)(y, given, np.ones((1, 8)), weights) for element, given in both)
     np.testing.assert_allclose(bent, expected, rtol=1e-9, atol=1e-10)
     assert looked_up.value.n_instructions() < 0.5 * steps.value.n_instructions()
 

@@ -236,8 +236,7 @@ def test_curves_are_looked_up_piece_by_piece():
     """At, between and beyond the knots, and at both signs; the same as everywhere at once."""
     curves = BOAT.hull.running.curves(350.0)
     speeds = np.array([0.0, 0.3, curves.splines[0].knots[3], -7.7, 13.0, 90.0])
-    many = ca.SX.sym("many", len(speeds))
-    pieces = ca.Function("pieces", [many], [curves.look_up(many)])(speeds)
+    pieces = curves.pieces_at(len(speeds))(speeds[None])
     u, piece = ca.SX.sym("u"), ca.SX.sym("piece", curves.size)
     within = ca.Function("within", [u, piece], curves.at(u, piece)).map(len(speeds))(speeds[None], pieces)
     everywhere = ca.Function("everywhere", [u], curves.at(u)).map(len(speeds))(speeds[None])

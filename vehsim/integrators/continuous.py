@@ -73,13 +73,13 @@ def execute(
     lengths, states = np.repeat(steps / fine, fine)[:, None], np.empty((count + 1, sum(sizes)))
     states[0] = np.concatenate([g, r, z])
     inputs = [states[:-1], *ends, lengths, np.broadcast_to(np.asarray(wind, float), (count, 3))]
-    Kernel(_rk4_step(vehicle)).rows(inputs, [states[1:]], carries=True)
+    _rk4_step(vehicle).rows(inputs, [states[1:]], carries=True)
     rows = states[::fine]
     return rows[:, : sizes[0]], rows[:, sizes[0] : sizes[0] + sizes[1]]
 
 
 @lru_cache(maxsize=32)
-def _rk4_step(vehicle: Vehicle) -> ca.Function:
+def _rk4_step(vehicle: Vehicle) -> Kernel:
     """``(x, c0, c1, h, wind) -> x``: one step of RK4 with ``x = (g, r, z)`` and controls linear in time."""
     law, ground = local_equations(vehicle)
     kind: Any = ca.SX if ground is None else ca.MX  # in SX, a relief cannot be looked up
@@ -98,11 +98,12 @@ def _rk4_step(vehicle: Vehicle) -> ca.Function:
         state = ca.vertsplit(x, cuts)
         more = [] if ground is None else [cells(place(state[0]))]
         if pieces.numel():
-            more = [ca.vec(vehicle.resistance.curves.look_up(speeds_of(vehicle, (state[0], state[2]))))]  # type: ignore[attr-defined]  # a holonomic vehicle has it
+            speeds, curves = speeds_of(vehicle, (state[0], state[2])).T, vehicle.resistance.curves  # type: ignore[attr-defined]  # a holonomic vehicle has it
+            more = [ca.vec(curves.pieces_at(speeds.shape[1])(speeds))]
         return h * ca.vertcat(*law(*state, c, rate, wind, *more))
 
     k1 = slope(x, c0)
     k2 = slope(x + k1 / 2, (c0 + c1) / 2)
     k3 = slope(x + k2 / 2, (c0 + c1) / 2)
     k4 = slope(x + k3, c1)
-    return ca.Function("rk4", [x, c0, c1, h, wind], [x + (k1 + 2 * k2 + 2 * k3 + k4) / 6])
+    return Kernel(ca.Function("rk4", [x, c0, c1, h, wind], [x + (k1 + 2 * k2 + 2 * k3 + k4) / 6]))

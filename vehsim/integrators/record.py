@@ -52,7 +52,7 @@ def build_clips(
     """Clips of several vehicles of one kind.
 
     ``phases`` (m, n, .): group elements, joints, momenta and segment velocities at the knots ``times`` (n,);
-    ``controls`` (m, n, c); ``anchors`` (m, 3); ``compiled``: use machine code, on ``threads`` threads. The ledger:
+    ``controls`` (m, n, c); ``anchors`` (m, 3); ``compiled``: by machine code at once, on ``threads``. The ledger:
     kinetic and potential energy, work of controls (the drives of rate controls included) and wind, and dissipation by
     drag, each (n,) J. Work and dissipation are integrals of the power at the knots (`_integrals`); ``kinetic +
     potential - work + dissipated`` stays constant up to the integrator's error, of order 2 or 4.

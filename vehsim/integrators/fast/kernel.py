@@ -1,31 +1,71 @@
-"""A CasADi function that works on NumPy memory: interpreted, or as machine code (`machine.py`)."""
+"""A CasADi function that works on NumPy memory: interpreted, or as machine code."""
 
 from __future__ import annotations
 
-import ctypes
+import threading
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from vehsim.integrators.fast import machine
 from vehsim.lie.vectorized import point
+from vehsim.runtime.machine_code import MachineCode
 from vehsim.vehicles.definition.base import Array
 
 BLOCKS = (256, 16, 1)
 """Numbers of rows per interpreter call: the largest that fits, then smaller ones."""
+WORTH = 1800
+"""Evaluations after which a function has been interpreted for about as long as its machine code takes to build: 5 ns
+and 9 us for each operation. So they take at most about twice the least possible time."""
+SHORT = 200
+"""Operations that take as long as a call: shorter functions are interpreted, unless for many rows."""
+
+
+class Evaluations:
+    """How often a function is still interpreted, and its machine code after that. All its kernels share it."""
+
+    def __init__(self, function: ca.Function):
+        self._function, self._left = function, WORTH
+        self.code: MachineCode | None = None
+        self.lock = threading.Lock()
+
+    def build(self) -> MachineCode | None:
+        """Its machine code; None if LLVM is missing or fails here, or does not know an operation of the function."""
+        if self.code is None:
+            try:
+                self.code = MachineCode(self._function)
+            except (ImportError, RuntimeError, ValueError):
+                return None
+        return self.code
+
+    def count(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
+        """Count interpreted rows (m, n, width). When machine code is worth it, it is built, and used if it gives the
+        same last row."""
+        before, self._left = self._left, self._left - len(outputs[0]) * outputs[0].shape[1]
+        if before > 0 >= self._left and (code := self.build()) is not None:
+            last = [np.empty_like(a[-1:, -1:]) for a in outputs]
+            code.rows([a[-1:, -1:] for a in inputs], last)
+            if not all(np.array_equal(a, b[-1:, -1:], equal_nan=True) for a, b in zip(last, outputs, strict=True)):
+                self.code = None
+
+
+@lru_cache(maxsize=256)
+def _evaluations(function: ca.Function) -> Evaluations:
+    return Evaluations(function)
 
 
 class Kernel:
     """``function`` of columns, with the memory that it reads and writes.
 
     ``kernel(*columns)`` returns its outputs as new arrays, at a tenth of what a plain CasADi call costs. ``bind`` makes
-    ``run()`` work in place; ``rows`` works down the rows of arrays. ``compiled``: by machine code, where there is a
-    compiler. Two threads may share a kernel only for compiled ``rows``, which release Python's lock.
+    ``run()`` work in place; ``rows`` works down the rows of arrays. ``compiled``: by machine code at once; by default
+    as soon as that pays. Results are the same to the last bit. Two threads may share a kernel only for ``rows``; those
+    by machine code release Python's lock.
     """
 
     run: Callable[[], None]
@@ -33,7 +73,9 @@ class Kernel:
 
     def __init__(self, function: ca.Function, compiled: bool = False):
         self.function = _dense(function)
-        self._built = machine.build(self.function) if compiled else None
+        self._evaluations = _evaluations(self.function)
+        if compiled and self._evaluations.build() is None:
+            _warn_once("no machine code: llvmlite is missing, or fails here; CasADi interprets, ten times as slowly")
         self._in: list[Array] = []
         self._out: list[Array] | None = None
         self._blocks: dict[tuple[int, bool], tuple[Any, Any]] = {}
@@ -41,15 +83,25 @@ class Kernel:
     @property
     def compiled(self) -> bool:
         """Whether machine code runs, and not CasADi's interpreter."""
-        return self._built is not None
+        return self._evaluations.code is not None
 
     def bind(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> Kernel:
-        """Let `run` use these arrays where they are: float64, contiguous, as large as the function's columns."""
-        function = self.function if self._built is None else self._built.function()
+        """Let `run` use these arrays where they are: float64, contiguous, as large as the function's columns, and apart
+        from each other."""
         self._in, self._out = list(inputs), list(outputs)  # the buffer points into them
-        self._buffer, self.run = function.buffer()
+        self._buffer, self._run = self.function.buffer()
         point(self._buffer, inputs, outputs)
+        long = self.function.is_a("SXFunction") and self.function.n_instructions() > SHORT
+        self.run = self._counted if long else self._run
         return self
+
+    def _counted(self) -> None:
+        if self._evaluations.code is None:
+            self._run()
+            self._evaluations.count([a[None, None] for a in self._in], [a[None, None] for a in self._out or ()])
+        if self._evaluations.code is not None:
+            self.run = self._evaluations.code.bound(self._in, self._out or ())
+            self.run()
 
     def __call__(self, *columns: Any) -> list[Array]:
         if self._out is None:
@@ -71,12 +123,13 @@ class Kernel:
         """
         if outputs[0].ndim == 2:
             inputs, outputs = [a[None] for a in inputs], [a[None] for a in outputs]
-        if self._built is not None:
-            m, n = (ctypes.c_longlong(size) for size in outputs[0].shape[:2])
-            self._built.loop(m, n, *_pointers(inputs), *_pointers(outputs))
+        if self._evaluations.code is not None:
+            self._evaluations.code.rows(inputs, outputs)
             return
-        for j in range(len(outputs[0])):
-            self._interpret([a[j] for a in inputs], [a[j] for a in outputs], carries)
+        with self._evaluations.lock:  # its buffers are shared
+            for j in range(len(outputs[0])):
+                self._interpret([a[j] for a in inputs], [a[j] for a in outputs], carries)
+            self._evaluations.count(inputs, outputs)
 
     def _interpret(self, inputs: Sequence[Array], outputs: Sequence[Array], carries: bool) -> None:
         n, first = len(outputs[0]), 0
@@ -132,9 +185,6 @@ def _dense(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), symbols, [ca.densify(x) for x in outputs])
 
 
-def _pointers(arrays: Sequence[Array]) -> tuple[Any, Any, Any]:
-    """First elements, and strides across and along, in doubles; null for missing arguments."""
-    count = len(arrays)
-    starts = (ctypes.c_void_p * count)(*(a.ctypes.data if a.size else None for a in arrays))
-    over, along = ((ctypes.c_longlong * count)(*(a.strides[axis] // 8 for a in arrays)) for axis in (0, 1))
-    return starts, over, along
+@cache
+def _warn_once(message: str) -> None:
+    warnings.warn(message, stacklevel=4)

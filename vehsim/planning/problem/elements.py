@@ -17,6 +17,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from vehsim.integrators.fast.kernel import Kernel
+from vehsim.planning.problem.repeated import Repeated, long
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
@@ -64,15 +67,14 @@ class Element:
     lower: Any = 0.0
     upper: Any = 0.0
     space: SpatialField | None = None
-    """The function of space that ``f`` and ``g`` use, if any."""
+    """The function of space that ``f`` and ``g`` use."""
     labels: Sequence[str] = ()
     """Names of the rows of ``g`` that differ from the element's name."""
     frozen: tuple[Any, Any] | None = None
     """Symbols in ``f`` and ``g``, and the expressions of ``y`` and the parameters that replace them. Derivatives treat
     them as constants (a stop-gradient)."""
-    looked_up: tuple[Any, Any, Callable[[Any], Any]] | None = None
-    """Symbols in ``f`` and ``g`` that are looked up, an expression of where, and the function of it that calls for
-    their values, in place of which steps would take many operations. Derivatives treat them as constants."""
+    table: SpatialField | None = None
+    """Another such function, of other numbers than places."""
     inner: Sequence[tuple[Any, Any]] = ()
     """Symbols (m,) in ``f`` and ``g``, and the expressions (m,) of ``y``, the parameters and earlier symbols that they
     stand for. Derivatives follow the chain rule through them, which takes fewer operations where ``m`` is small."""
@@ -87,7 +89,8 @@ class Element:
         self.sizes = {name: int(symbol.shape[0]) for name, symbol in self.parameters.items()}
         given = ca.vertcat(kind(0, 1), *self.parameters.values())
         self.given = int(given.shape[0])
-        self.p = given if self.space is None else ca.vertcat(given, ca.vec(self.space.models))
+        self.fields = [each for each in (self.space, self.table) if each is not None]
+        self.p = ca.vertcat(given, *(ca.vec(each.models) for each in self.fields))
         self.g = kind(0, 1) if self.g is None else ca.densify(self.g)
         self.f = kind(self.f)
         if kind is ca.SX:  # shared subexpressions are then differentiated once: derivatives cost 20 to 33 % less
@@ -100,9 +103,8 @@ class Element:
 
     @cached_property
     def points(self) -> ca.Function:
-        """``(y, p) -> (d, k)``: the points at which the function of space is evaluated; ``p`` excludes its models."""
-        assert self.space is not None
-        points = _inserted(self.inner, [self.space.points])
+        """``(y, p) -> (d, k)`` for each of its functions of space: where they are evaluated; ``p`` excludes models."""
+        points = _inserted(self.inner, [ca.densify(each.points) for each in self.fields])
         return ca.Function("points", [self.y, self.p[: self.given]], points)
 
     @property
@@ -185,17 +187,29 @@ class Element:
         return hessian, gradient
 
     def function(self, name: str, results: list[Any], *more: Any) -> ca.Function:
-        """A function of ``y, p`` and ``more``; inner, frozen and looked-up expressions are inserted after
-        differentiation."""
-        if self.looked_up is None:
-            results = _inserted(self.inner, results)
-        else:
-            symbols, where, look_up = self.looked_up
-            *results, where = _inserted(self.inner, [*results, where])
-            results = [ca.densify(r) for r in ca.cse(ca.substitute(results, [symbols], [ca.vec(look_up(where))]))]
+        """A function of ``y, p`` and ``more``; inner and frozen expressions are inserted after differentiation."""
+        results = _inserted(self.inner, results)
         if self.frozen is not None:
             results = [ca.densify(r) for r in ca.cse(ca.substitute(results, [self.frozen[0]], [self.frozen[1]]))]
         return ca.Function(name, [self.y, self.p, *more], results)
+
+    def repeated(self, function: ca.Function, count: int) -> Any:
+        """One of its functions at ``count`` columns, for evaluation only: as machine code once that pays."""
+        if not long(function, count):
+            return _mapped(function, count)
+        name = function.name()
+        kernel = self._kernels.setdefault(name, Kernel(function))
+        if (name, count) not in self._repeated:
+            self._repeated[name, count] = Repeated(kernel, count)
+        return self._repeated[name, count]
+
+    @cached_property
+    def _kernels(self) -> dict[str, Kernel]:
+        return {}
+
+    @cached_property
+    def _repeated(self) -> dict[tuple[str, int], Repeated]:
+        return {}
 
 
 def _inserted(pairs: Sequence[tuple[Any, Any]], results: list[Any]) -> list[Any]:
@@ -267,21 +281,28 @@ class Use:
     def rows(self) -> int:
         return int(self.element.g.shape[0])
 
-    def mapped(self, function: ca.Function) -> ca.Function:
-        return _mapped(function, self.count)
+    def mapped(self, function: ca.Function, differentiable: bool = False) -> Any:
+        """A function of the element at all occurrences; CasADi evaluates it faster than a ``differentiable`` one."""
+        return _mapped(function, self.count) if differentiable else self.element.repeated(function, self.count)
 
-    def local(self, x: Any, p: Any, order: int) -> tuple[Any, Any]:
+    def local(self, x: Any, p: Any, order: int, differentiable: bool = False) -> tuple[Any, Any]:
         """Local variables (n, count) and parameters (m, count) from the problem's; models have derivatives up to
         ``order``."""
         y, given = _gather(x, self.variables), _gather(p, self.parameters)
         rows = [given, ca.MX(ca.DM(self.constants))] if len(self.constants) else [given]
-        space = self.element.space
-        if space is not None:
-            points, (d, k) = self.mapped(self.element.points)(y, ca.vertcat(*rows)), space.points.shape
+        return y, self.with_models(y, ca.vertcat(*rows), order, differentiable)
+
+    def with_models(self, y: Any, given: Any, order: int, differentiable: bool = False) -> Any:
+        """Parameters (m, count), from those without the models of functions of space."""
+        if not self.element.fields:
+            return given
+        rows, found = [given], self.mapped(self.element.points, differentiable)(y, given)
+        for field_, points in zip(self.element.fields, found if isinstance(found, tuple) else [found], strict=True):
+            d, k = field_.points.shape
             places = ca.reshape(points, d, k * self.count)
-            models = ca.vertcat(places, space.function(k * self.count, order)(places))
-            rows.append(ca.reshape(models, space.models.shape[0] * k, self.count))
-        return y, ca.vertcat(*rows)
+            models = ca.vertcat(places, field_.function(k * self.count, order)(places))
+            rows.append(ca.reshape(models, field_.models.shape[0] * k, self.count))
+        return ca.vertcat(*rows)
 
 
 @dataclass(eq=False)
@@ -401,13 +422,14 @@ class NonlinearProgram:
             number -= use.rows * use.count
         raise IndexError(f"constraint row {number}: there is none")
 
-    def functions(self) -> dict[str, ca.Function]:
-        """The functions ``nlp, grad_f, jac_g, hess_lag`` that CasADi's NLP solvers require."""
+    def functions(self, differentiable: bool = False) -> dict[str, ca.Function]:
+        """The functions ``nlp, grad_f, jac_g, hess_lag`` that CasADi's NLP solvers require; some solvers differentiate
+        the first one."""
         x, p = ca.MX.sym("x", self.size), ca.MX.sym("p", self.parameters)
-        plain = [use.local(x, p, 0) for use in self.uses]
-        models = [[use.local(x, p, order) if use.element.space else None for use in self.uses] for order in (1, 2)]
+        plain = [use.local(x, p, 0, differentiable) for use in self.uses]
+        models = [[use.local(x, p, order) if use.element.fields else None for use in self.uses] for order in (1, 2)]
         local = [plain, *([own or at for own, at in zip(row, plain, strict=True)] for row in models)]
-        f, g = self._values(local[0])
+        f, g = self._values(local[0], differentiable)
         names = (["x", "p"], ["f", "g"])
         return {
             "nlp": ca.Function("nlp", [x, p], [f, g], *names),
@@ -416,11 +438,11 @@ class NonlinearProgram:
             "hess_lag": self._hessian(x, p, local[2]),
         }
 
-    def _values(self, local: Sequence[tuple[Any, Any]]) -> tuple[Any, Any]:
+    def _values(self, local: Sequence[tuple[Any, Any]], differentiable: bool) -> tuple[Any, Any]:
         f: Any = 0
         g = []
         for use, arguments in zip(self.uses, local, strict=True):
-            cost, rows = use.mapped(use.element.value)(*arguments)
+            cost, rows = use.mapped(use.element.value, differentiable)(*arguments)
             f = f if use.element.f.is_zero() else f + ca.sum2(cost)
             g.append(ca.vec(rows))
         return f, ca.vertcat(*g)

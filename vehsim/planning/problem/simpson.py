@@ -96,7 +96,7 @@ def simpson(transcription: Transcription, reduced: bool = False) -> Element:
         space=space,
         inner=[*inner, *velocity, *rest],
         lacked=z,
-        looked_up=t.looked_up(pieces, (g, xi), (g1, xi1), (g_, xim)),
+        table=t.looked_up(pieces, (g, xi), (g1, xi1), (g_, xim)),
     )
     n = v["x"].shape[0]
     if not reduced and element.value.n_instructions() <= CHEAP * t.sizes[2]:

@@ -294,7 +294,7 @@ class Solver:
         self.problem, self.plugin, self.max_iterations, self.end = problem, plugin, max_iterations, end
         self.watch: Callable[[int, Array], None] | None = None
         self._bounds, self._lacked = problem.bounds, problem.lacked
-        functions = problem.functions()
+        functions = problem.functions(differentiable=plugin != "ipopt")
         self._nlp = functions.pop("nlp")
         self._callback = _Callback(self, problem.size, len(self._bounds[0]), problem.parameters)
         self._own = {}  # the other plugins differentiate themselves

@@ -103,7 +103,7 @@ class Transcription:
         blown = self.blown(airs, (g, v["z"]), (end, v["z"]))  # a segment has one velocity
         return Element(
             "dynamics", ca.vertcat(*v.values()), self.air, g=ca.vertcat(*residuals), space=space,
-            inner=[*blown[:1], (end, next_g), *blown[1:]], looked_up=self.looked_up(piece, (g, v["z"])),
+            inner=[*blown[:1], (end, next_g), *blown[1:]], table=self.looked_up(piece, (g, v["z"])),
         )  # fmt: skip
 
     @cached_property
@@ -162,13 +162,15 @@ class Transcription:
         cell, vehicle = self.local
         return cell, *in_pieces(vehicle)
 
-    def looked_up(self, pieces: Any, *motions: tuple[Any, Any]) -> tuple[Any, Any, Callable[[Any], Any]] | None:
-        """`Element.looked_up` of ``pieces`` (n, k), symbols as of `within` for each of k ``motions``: pairs of a pose
-        and a velocity."""
+    def looked_up(self, pieces: Any, *motions: tuple[Any, Any]) -> SpatialField | None:
+        """Where to look up ``pieces`` (n, k), symbols as of `within` for each of k ``motions``: pairs of a pose and a
+        velocity."""
         if not pieces.numel():
             return None
         vehicle: Any = self.vehicle
-        return ca.vec(pieces), speeds_of(vehicle, *motions), vehicle.resistance.curves.look_up
+        speeds, curves = speeds_of(vehicle, *motions).T, vehicle.resistance.curves
+        models = ca.vertcat(ca.SX.sym("speeds", *speeds.shape), ca.reshape(pieces, curves.size, -1))
+        return SpatialField(speeds, models, lambda count, order: curves.pieces_at(count))
 
     def space(self, g: Any) -> SpatialField | None:
         """The relief below the pose ``g`` in the symbols of `local`, for an element; None without one."""

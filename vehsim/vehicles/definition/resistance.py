@@ -37,11 +37,6 @@ def ittc57(reynolds: Any) -> Any:
     return 0.075 / (np.log10(np.maximum(reynolds, 1e5)) - 2) ** 2
 
 
-NOTHING = 1e-300
-"""CasADi takes the derivative of a call as NaN if the call depends on none of its arguments; so much of the argument is
-added."""
-
-
 @dataclass(frozen=True)
 class Planing:
     """A planing hull: ``beam`` between the chines, ``deadrise`` (rad) of a bottom whose keel is parallel to body X;
@@ -248,15 +243,14 @@ class Curves:
         knot, *cubics = ca.vertsplit(piece, [0, *range(1, self.size + 1, 4)])
         return [_cubic(x - knot, cubic) for cubic in cubics]
 
-    def look_up(self, speeds: Expr) -> Expr:
-        """The pieces (size, k) at ``speeds`` (k,), by a call; they do not change within a piece."""
-        count = speeds.shape[0]
+    def pieces_at(self, count: int) -> ca.Function:
+        """Speeds (1, count) -> the pieces (size, count) there."""
         if count not in self._calls:
-            x = ca.MX.sym("x", count)
-            found = ca.MX(ca.DM(self._pieces))[:, ca.low(ca.DM([*self.splines[0].knots, math.inf]), x)]
-            call = ca.Function("pieces", [x], [found + NOTHING * ca.sum1(x)], {"never_inline": True})
-            self._calls[count] = call
-        return self._calls[count](_magnitude(speeds))
+            speeds = ca.MX.sym("speeds", 1, count)
+            found = ca.low(ca.DM([*self.splines[0].knots, math.inf]), _magnitude(speeds.T))
+            pieces = [ca.MX(ca.DM(self._pieces))[:, found]]
+            self._calls[count] = ca.Function("pieces", [speeds], pieces, {"never_inline": True})
+        return self._calls[count]
 
     @cached_property
     def _calls(self) -> dict[int, ca.Function]:
