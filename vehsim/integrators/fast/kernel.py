@@ -31,27 +31,32 @@ class Evaluations:
 
     def __init__(self, function: ca.Function):
         self._function, self._left = function, WORTH
+        self._built: MachineCode | None = None
         self.code: MachineCode | None = None
         self.lock = threading.Lock()
 
     def build(self) -> MachineCode | None:
         """Its machine code; None if LLVM is missing or fails here, or does not know an operation of the function."""
-        if self.code is None:
-            try:
-                self.code = MachineCode(self._function)
-            except (ImportError, RuntimeError, ValueError):
-                return None
-        return self.code
+        try:
+            self._built = self._built or MachineCode(self._function)
+        except (ImportError, RuntimeError, ValueError):
+            return None
+        return self._built
 
-    def count(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
-        """Count interpreted rows (m, n, width). When machine code is worth it, it is built, and used if it gives the
-        same last row."""
+    def count(self, inputs: Sequence[Array], outputs: Sequence[Array], aside: bool = False) -> None:
+        """Count interpreted rows (m, n, width). When machine code is worth it, it is built, ``aside`` in a thread, and
+        used if it gives the same last row."""
         before, self._left = self._left, self._left - len(outputs[0]) * outputs[0].shape[1]
-        if before > 0 >= self._left and (code := self.build()) is not None:
+        if before > 0 >= self._left:
+            if aside:  # a vehicle that is driven must not wait
+                threading.Thread(target=self.build).start()
+            else:
+                self.build()
+        if (built := self._built) is not None:
             last = [np.empty_like(a[-1:, -1:]) for a in outputs]
-            code.rows([a[-1:, -1:] for a in inputs], last)
-            if not all(np.array_equal(a, b[-1:, -1:], equal_nan=True) for a, b in zip(last, outputs, strict=True)):
-                self.code = None
+            built.rows([a[-1:, -1:] for a in inputs], last)
+            same = all(np.array_equal(a, b[-1:, -1:], equal_nan=True) for a, b in zip(last, outputs, strict=True))
+            self.code, self._built = built if same else None, None
 
 
 @lru_cache(maxsize=256)
@@ -74,7 +79,9 @@ class Kernel:
     def __init__(self, function: ca.Function, compiled: bool = False):
         self.function = _dense(function)
         self._evaluations = _evaluations(self.function)
-        if compiled and self._evaluations.build() is None:
+        if compiled and not self.compiled:
+            self._evaluations.code = self._evaluations.build()
+        if compiled and not self.compiled:
             _warn_once("no machine code: llvmlite is missing, or fails here; CasADi interprets, ten times as slowly")
         self._in: list[Array] = []
         self._out: list[Array] | None = None
@@ -98,7 +105,8 @@ class Kernel:
     def _counted(self) -> None:
         if self._evaluations.code is None:
             self._run()
-            self._evaluations.count([a[None, None] for a in self._in], [a[None, None] for a in self._out or ()])
+            inputs, outputs = ([a[None, None] for a in arrays] for arrays in (self._in, self._out or ()))
+            self._evaluations.count(inputs, outputs, aside=True)
         if self._evaluations.code is not None:
             self.run = self._evaluations.code.bound(self._in, self._out or ())
             self.run()
