@@ -16,7 +16,9 @@ import pytest
 
 from tests.shots import driven
 from vehsim.cli import commands as cli
+from vehsim.cli import doctor
 from vehsim.cli.arguments import frames_in
+from vehsim.runtime import machine_code
 
 PATIENCE = 600.0
 """Time limit on a busy machine, s: only a failing test waits that long."""
@@ -203,6 +205,15 @@ def test_listings_of_vehicles_and_terrains(command: str, capsys: pytest.CaptureF
 def test_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
     cli.run(["schema"])
     assert json.loads(capsys.readouterr().out)["required"] == ["shot", "vehicle"]
+
+
+def test_doctor_says_whether_there_is_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "llvmlite" in doctor._machine_code().found
+    monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
+    machine_code._llvm.cache_clear()
+    without = doctor._machine_code()
+    machine_code._llvm.cache_clear()
+    assert without.good and without.found.startswith("none, so that plans and simulations take longer (")
 
 
 def test_unexpected_errors_are_short(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

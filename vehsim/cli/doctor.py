@@ -1,4 +1,4 @@
-"""Check this machine: Python, libraries, EGL, the film codec, the cache. Standard library only at the top.
+"""Check this machine, from Python to the cache. Only the standard library is imported at the top.
 
 ``tools/setup.sh`` calls ``python -m vehsim.cli.doctor --egl``, whose exit code tells whether pictures can be rendered.
 """
@@ -62,6 +62,20 @@ def _usd() -> Check:
     return Check("USD", version >= oldest, text, f"use USD {oldest[0]}.{oldest[1]} or newer")
 
 
+def _machine_code() -> Check:
+    """Good without it, too: the interpreter gives the same results."""
+    import casadi
+
+    from vehsim.runtime.machine_code import MachineCode
+
+    x = casadi.SX.sym("x")
+    try:
+        MachineCode(casadi.Function("square", [x], [x * x]))
+        return Check("machine code", True, f"llvmlite {importlib.metadata.version('llvmlite')}")
+    except (ImportError, RuntimeError) as error:
+        return Check("machine code", True, f"none, so that plans and simulations take longer ({error})")
+
+
 def _egl() -> Check:
     if sys.platform != "linux":
         return Check("OpenGL", True, "MuJoCo's own for this system; pictures are tested on Linux with EGL")
@@ -97,7 +111,7 @@ def _cache() -> Check:
 
 def examine() -> list[Check]:
     """Check everything that vehsim needs."""
-    return [_python(), *map(_library, LIBRARIES), _usd(), _egl(), _codec(), _cache()]
+    return [_python(), *map(_library, LIBRARIES), _usd(), _machine_code(), _egl(), _codec(), _cache()]
 
 
 if __name__ == "__main__":
