@@ -51,7 +51,7 @@ make_venv() {
 }
 
 install_locked() {
-    say "installing the locked dependencies (about 500 MB on disk; a minute or two the first time)"
+    say "installing the locked dependencies (about 1.6 GB on disk; a minute or two the first time)"
     .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
     .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 }
