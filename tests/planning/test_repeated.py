@@ -9,6 +9,7 @@ import pytest
 import vehsim
 from vehsim.integrators.fast import kernel
 from vehsim.integrators.fast.kernel import Kernel
+from vehsim.planning.problem import elements
 from vehsim.planning.problem.repeated import LEAST, Repeated, long
 from vehsim.world.obstacles.obstacles import box
 
@@ -68,3 +69,20 @@ def test_a_function_at_many_columns_is_that_of_casadi():
     many = 1 + LEAST // function.n_instructions()
     assert long(function, many) and not long(function, 7)
     assert not long(ca.Function("g", given, [ca.sin(given[0])]), many)
+
+
+def test_two_threads_share_one_repeated_function(monkeypatch):
+    """Only that one is kept: solvers cannot evaluate one that Python has deleted. The second thread asks while the
+    first one builds."""
+    y = ca.SX.sym("y", 2)
+    element, asked = elements.Element("e", y, f=ca.sin(y[0]) * y[1]), []
+
+    class Slow(Repeated):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            if not asked:
+                asked.append(None)
+                asked[0] = element.repeated(element.value, LEAST)
+
+    monkeypatch.setattr(elements, "Repeated", Slow)
+    assert element.repeated(element.value, LEAST) is asked[0]

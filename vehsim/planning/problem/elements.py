@@ -97,6 +97,8 @@ class Element:
             symbols, expressions = zip(*self.inner, strict=True) if self.inner else ((), ())
             self.f, self.g, *expressions = ca.cse([self.f, self.g, *map(ca.densify, expressions)])
             self.inner = list(zip(symbols, expressions, strict=True))
+        self._kernels: dict[str, Kernel] = {}
+        self._repeated: dict[tuple[str, int], Repeated] = {}
         rows = self.g.shape[0]
         self.lower = np.broadcast_to(np.asarray(self.lower, float), (rows,))
         self.upper = np.broadcast_to(np.asarray(self.upper, float), (rows,))
@@ -198,18 +200,11 @@ class Element:
         if not long(function, count):
             return _mapped(function, count)
         name = function.name()
-        kernel = self._kernels.setdefault(name, Kernel(function))
         if (name, count) not in self._repeated:
-            self._repeated[name, count] = Repeated(kernel, count)
+            kernel = self._kernels.setdefault(name, Kernel(function))
+            # of two threads, both take the one that is kept: CasADi calls another one after Python has deleted it
+            self._repeated.setdefault((name, count), Repeated(kernel, count))
         return self._repeated[name, count]
-
-    @cached_property
-    def _kernels(self) -> dict[str, Kernel]:
-        return {}
-
-    @cached_property
-    def _repeated(self) -> dict[tuple[str, int], Repeated]:
-        return {}
 
 
 def _inserted(pairs: Sequence[tuple[Any, Any]], results: list[Any]) -> list[Any]:
