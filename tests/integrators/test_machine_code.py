@@ -1,6 +1,10 @@
 """Every operation as machine code: the same bits as CasADi's interpreter, for all kinds of numbers."""
 
+import gc
+import subprocess
+import sys
 import threading
+import weakref
 
 import casadi as ca
 import numpy as np
@@ -108,3 +112,36 @@ def test_no_rows_and_no_groups_are_nothing():
     code = MachineCode(ca.Function("f", [X], [2 * X]))
     for shape in ((0, 5, 1), (3, 0, 1)):
         code.rows([np.empty(shape)], [np.empty(shape)])
+
+
+def test_a_bound_call_keeps_its_machine_code():
+    """Two threads may build the same function: the second code replaces the first, which others still run."""
+    code, given, out = MachineCode(ca.Function("f", [X], [2 * X])), np.array([3.0]), np.zeros(1)
+    run, engine = code.bound([given], [out]), weakref.ref(code._engine)
+    del code
+    gc.collect()
+    assert engine() is not None
+    run()
+    assert out == [6.0]
+
+
+REFUSED = """
+import ctypes, sys
+if not sys.platform.startswith("linux") or ctypes.CDLL(None).prctl(65, 1, 0, 0, 0):  # PR_SET_MDWE, since Linux 6.3
+    sys.exit("prctl refuses")
+import casadi as ca, numpy as np
+from vehsim.integrators.fast.kernel import Kernel
+x = ca.SX.sym("x")
+kernel, out = Kernel(ca.Function("f", [x], [2 * x])), np.zeros((4000, 1))
+for _ in range(2):
+    kernel.rows([np.ones((4000, 1))], [out])
+print(kernel.compiled, out.sum())
+"""
+
+
+def test_where_memory_may_not_become_executable_the_interpreter_stays():
+    """As under SELinux, or systemd's MemoryDenyWriteExecute; LLVM does not notice, and its code crashed there."""
+    done = subprocess.run([sys.executable, "-c", REFUSED], capture_output=True, text=True)
+    if "prctl refuses" in done.stderr:
+        pytest.skip("this system does not forbid executable memory")
+    assert (done.returncode, done.stdout) == (0, "False 8000.0\n")

@@ -103,6 +103,7 @@ class MachineCode:
         address = self._engine.get_function_address("rows")
         self._engine.remove_module(module)  # twice as large as the code
         self._rows = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, *[ctypes.c_longlong] * 2)(address)
+        self._rows.engine = self._engine  # type: ignore[attr-defined]  # what `bound` returns keeps it
 
     def rows(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate it for every row of arrays (m, n, width), which lie in ``inputs`` and are written to ``outputs``;
@@ -134,6 +135,7 @@ def _strides(strides: tuple[tuple[int, ...], ...]) -> tuple[Any, Any]:
 def _llvm() -> Any:
     import llvmlite.binding as llvm
 
+    llvm.check_jit_execution()  # LLVM itself does not notice that memory stays not executable, and the code crashes
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm

@@ -39,7 +39,7 @@ class Evaluations:
         """Its machine code; None if LLVM is missing or fails here, or does not know an operation of the function."""
         try:
             self._built = self._built or MachineCode(self._function)
-        except (ImportError, RuntimeError, ValueError):
+        except (ImportError, OSError, RuntimeError, ValueError):
             return None
         return self._built
 
