@@ -66,7 +66,7 @@ def test_an_operation_gives_the_same_bits(name):
     assert same.all(), (rows[~same.all(axis=1)][:3], out[~same.all(axis=1)][:3], expected[~same.all(axis=1)][:3])
 
 
-def test_all_operations_of_casadi_on_numbers_are_known_but_one():
+def test_all_operations_of_casadi_on_numbers_are_known_but_one(monkeypatch):
     """`OPERATIONS` covers those known; erfinv alone stays with the interpreter."""
     assert len(machine_code._CODE) == len(OPERATIONS)
     with pytest.raises(ValueError, match="ERFINV: not known"):
@@ -74,6 +74,10 @@ def test_all_operations_of_casadi_on_numbers_are_known_but_one():
     x = ca.MX.sym("x")
     with pytest.raises(ValueError, match="function g: MXFunction"):
         MachineCode(ca.Function("g", [x], [x + 1]))
+    monkeypatch.setattr(machine_code, "LONGEST", 3)
+    MachineCode(ca.Function("f", [X], [ca.sin(X)]))
+    with pytest.raises(ValueError, match="4 operations, at most 3"):
+        MachineCode(ca.Function("f", [X], [ca.sin(ca.sin(X))]))
 
 
 def test_products_and_sums_are_not_fused():

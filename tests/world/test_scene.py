@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import Rotation
 
 from vehsim.errors import InputError
+from vehsim.world.distance.clearance import ObstacleScene
 from vehsim.world.distance.scene import Scene, add_terrain, write_heights
+from vehsim.world.obstacles.obstacles import box
 from vehsim.world.terrain.terrain import Terrain
 from vehsim.world.world import World
 
@@ -143,3 +147,21 @@ def test_broken_poses_are_named(canyon, vehicle):
         canyon.clearance(vehicle, [[0, 0, 30], [0, np.nan, 30]], [[1, 0, 0, 0]] * 2)
     with pytest.raises(InputError, match=r"orientations\[0\]"):
         canyon.clearance(vehicle, [[0, 0, 30]], [[0, 0, 0, 0]])
+
+
+@pytest.mark.parametrize("where", ["terrain", "obstacles"])
+def test_threads_share_a_scene(canyon, vehicle, poses, where):
+    """Four at once, each with other poses, find what one finds: MuJoCo releases Python's lock."""
+    positions, turns, _ = poses
+    if where == "terrain":
+        scene = Scene(canyon.terrain, vehicle.rig)
+    else:
+        rng = np.random.default_rng(3)
+        places = rng.uniform([-60, -40, 5], [230, 80, 60], (30, 3))
+        scene = ObstacleScene(vehicle.rig, [box(f"b{k}", place, (8, 8, 20)) for k, place in enumerate(places)])
+    parts = np.array_split(np.arange(len(positions)), 4)
+    expected = [scene.clearance(positions[part], turns[part]) for part in parts]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda part: scene.clearance(positions[part], turns[part]), parts))
+    for own, wanted in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(own, wanted)

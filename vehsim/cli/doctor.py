@@ -72,7 +72,7 @@ def _machine_code() -> Check:
     try:
         MachineCode(casadi.Function("square", [x], [x * x]))
         return Check("machine code", True, f"llvmlite {importlib.metadata.version('llvmlite')}")
-    except (ImportError, RuntimeError) as error:
+    except (ImportError, OSError, RuntimeError) as error:
         return Check("machine code", True, f"none, so that plans and simulations take longer ({error})")
 
 

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 BLOCK = 2000
 """Operations in a basic block: a third of the time to build a function of 90,000, and half of the time to run it, are
 those of one block."""
+LONGEST = 200_000
+"""Operations of the longest function: above it, the time for each grows without end."""
 
 _ONE = ("SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH")
 _MORE = ("EXP", "LOG", "EXPM1", "LOG1P", "ERF", "FLOOR", "CEIL")
@@ -88,7 +90,8 @@ done:
 
 
 class MachineCode:
-    """A ``function`` of dense columns as machine code; raises ``ValueError`` if it has operations that are not known.
+    """A ``function`` of dense columns as machine code; raises ``ValueError`` if it has too many operations, or one that
+    is not known.
 
     It may run in several threads at once, and releases Python's lock.
     """
@@ -96,7 +99,7 @@ class MachineCode:
     def __init__(self, function: ca.Function):
         llvm = _llvm()
         module = llvm.parse_assembly(_written(function))
-        # for any processor of this kind: extensions would fuse products and sums
+        # for any processor of this kind: none may give other bits than its neighbour
         target = llvm.Target.from_default_triple().create_target_machine(opt=0)
         self._engine = llvm.create_mcjit_compiler(module, target)  # it owns the code
         self._engine.finalize_object()
@@ -150,6 +153,8 @@ def _written(function: ca.Function) -> str:
     """The function in LLVM's language."""
     if not function.is_a("SXFunction"):
         raise ValueError(f"function {function.name()}: {function.class_name()}, only an SXFunction has operations")
+    if function.n_instructions() > LONGEST:
+        raise ValueError(f"function {function.name()}: {function.n_instructions()} operations, at most {LONGEST}")
     lines = [*_pointers("in", "over", "along", "i", function.n_in())]
     lines += _pointers("out", "out_over", "out_along", "o", function.n_out())
     names, values, block = _operations(), {}, "row"

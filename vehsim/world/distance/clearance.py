@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from threading import Lock
 from types import MappingProxyType
 from typing import Any
 
@@ -54,7 +55,7 @@ class ObstacleScene:
         geoms = [[geom.name for body in group for geom in body.geoms] for group in bodies]
         names = [[body.name for body in group] for group in bodies]
         self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
+        self.data, self._lock = mujoco.MjData(self.model), Lock()
         self._own, *self._theirs = [[self.model.geom(name).id for name in group] for group in geoms]
         self._places = [[self._place_of(name) for name in group] for group in names]
 
@@ -93,13 +94,14 @@ class ObstacleScene:
         result = np.full((len(positions), len(self.obstacles) if each else 1), np.inf)
         for first in range(0, len(positions), CHUNK):
             rows = range(first, min(first + CHUNK, len(positions)))
-            centres, turns = (np.stack(each) for each in zip(*(self._posed(placed, n) for n in rows), strict=True))
-            bounds = [self._least(centres, turns, group) for group in groups]
-            for k, n in enumerate(rows):
-                self.data.geom_xpos[:], self.data.geom_xmat[:] = centres[k], turns[k]
-                result[n, columns] = [
-                    self._nearest(least[k], group) for least, group in zip(bounds, groups, strict=True)
-                ]
+            with self._lock:  # MuJoCo releases Python's
+                centres, turns = (np.stack(each) for each in zip(*(self._posed(placed, n) for n in rows), strict=True))
+                bounds = [self._least(centres, turns, group) for group in groups]
+                for k, n in enumerate(rows):
+                    self.data.geom_xpos[:], self.data.geom_xmat[:] = centres[k], turns[k]
+                    result[n, columns] = [
+                        self._nearest(least[k], group) for least, group in zip(bounds, groups, strict=True)
+                    ]
         return result
 
     def _posed(self, placed: Sequence[tuple[int, tuple[Array, Array]]], n: int) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ This module knows MuJoCo's models, poses and geometric queries.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from threading import Lock
 from types import MappingProxyType
 from typing import Any
 
@@ -89,7 +90,7 @@ class Scene:
         geoms, names = [[geom.name for geom in body.geoms] for body in bodies], [body.name for body in bodies]
         self.model = spec.compile()
         write_heights(self.model, terrain)
-        self.data = mujoco.MjData(self.model)
+        self.data, self._lock = mujoco.MjData(self.model), Lock()
         self._ground, self._bodies = self.model.geom("terrain").id, [self.model.body(name).id for name in names]
         self._joints = self.model.jnt_qposadr[self.model.body_jntadr[self._bodies]]
         self._hulls = [self.model.geom(name).id for group in geoms for name in group]
@@ -120,13 +121,14 @@ class Scene:
         places, turned = (np.stack(pose, axis=1) for pose in zip(*own, strict=True))
         bounds, beyond = self._centre_distances(places, turned), self._beyond(positions)
         result, moved = np.empty(len(positions)), self._motion(places, turned)
-        for k in range(len(positions)):
-            # at most the distance of the previous pose, plus the greatest displacement since
-            expected = max(result[k - 1], 0.0) + moved[k - 1] if k else np.inf
-            self._place(places[k], turned[k])
-            result[k] = self._nearest(bounds[k], expected)
-            if result[k] > 0 and beyond[k]:
-                result[k] = min(result[k], self._gap())
+        with self._lock:  # MuJoCo releases Python's
+            for k in range(len(positions)):
+                # at most the distance of the previous pose, plus the greatest displacement since
+                expected = max(result[k - 1], 0.0) + moved[k - 1] if k else np.inf
+                self._place(places[k], turned[k])
+                result[k] = self._nearest(bounds[k], expected)
+                if result[k] > 0 and beyond[k]:
+                    result[k] = min(result[k], self._gap())
         return result
 
     def _nearest(self, centre_distances: Array, expected: float) -> float:
