@@ -149,3 +149,11 @@ def test_where_memory_may_not_become_executable_the_interpreter_stays():
     if "prctl refuses" in done.stderr:
         pytest.skip("this system does not forbid executable memory")
     assert (done.returncode, done.stdout) == (0, "False 8000.0\n")
+
+
+def test_a_function_that_the_process_lacks_is_noticed(monkeypatch):
+    """LLVM would end the process when it finds no address."""
+    llvm = machine_code._llvm()
+    monkeypatch.setattr(llvm, "address_of_symbol", lambda name: None if name == "erf" else 1)
+    with pytest.raises(OSError, match="this process has no erf"):
+        machine_code._llvm.__wrapped__()

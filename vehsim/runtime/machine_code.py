@@ -59,6 +59,8 @@ _CODE = {
     **{name: f"{{r}} = call double @{called}(double {{x}}, double {{y}})" for name, called in _BINARY.items()},
 }
 """Operation of CasADi -> LLVM's instructions for its result ``r`` and operands ``x, y``."""
+_LIBRARY = sorted({*_UNARY.values(), *_BINARY.values()} - {*_BUILT_IN.values()})
+"""The functions of C's mathematical library that the code calls."""
 _DECLARED = "\n".join(
     [
         *(f"declare double @{called}(double)" for called in _UNARY.values()),
@@ -99,9 +101,7 @@ class MachineCode:
     def __init__(self, function: ca.Function):
         llvm = _llvm()
         module = llvm.parse_assembly(_written(function))
-        # for any processor of this kind: none may give other bits than its neighbour
-        target = llvm.Target.from_default_triple().create_target_machine(opt=0)
-        self._engine = llvm.create_mcjit_compiler(module, target)  # it owns the code
+        self._engine = _engine(llvm, module)  # it owns the code
         self._engine.finalize_object()
         address = self._engine.get_function_address("rows")
         self._engine.remove_module(module)  # twice as large as the code
@@ -141,7 +141,17 @@ def _llvm() -> Any:
     llvm.check_jit_execution()  # LLVM itself does not notice that memory stays not executable, and the code crashes
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
+    _engine(llvm, llvm.parse_assembly(""))  # opens this process for LLVM
+    missing = [called for called in _LIBRARY if llvm.address_of_symbol(called) is None]
+    if missing:  # LLVM would end the process
+        raise OSError(f"this process has no {', '.join(missing)}")
     return llvm
+
+
+def _engine(llvm: Any, module: Any) -> Any:
+    # for any processor of this kind: none may give other bits than its neighbour
+    target = llvm.Target.from_default_triple().create_target_machine(opt=0)
+    return llvm.create_mcjit_compiler(module, target)
 
 
 @cache
