@@ -74,7 +74,7 @@ class Element:
     """Symbols in ``f`` and ``g``, and the expressions of ``y`` and the parameters that replace them. Derivatives treat
     them as constants (a stop-gradient)."""
     table: SpatialField | None = None
-    """Another such function, of other numbers than places."""
+    """Another such function, of numbers such as speeds. Its models may be constants."""
     inner: Sequence[tuple[Any, Any]] = ()
     """Symbols (m,) in ``f`` and ``g``, and the expressions (m,) of ``y``, the parameters and earlier symbols that they
     stand for. Derivatives follow the chain rule through them, which takes fewer operations where ``m`` is small."""
@@ -97,8 +97,7 @@ class Element:
             symbols, expressions = zip(*self.inner, strict=True) if self.inner else ((), ())
             self.f, self.g, *expressions = ca.cse([self.f, self.g, *map(ca.densify, expressions)])
             self.inner = list(zip(symbols, expressions, strict=True))
-        self._kernels: dict[str, Kernel] = {}
-        self._repeated: dict[tuple[str, int], Repeated] = {}
+        self._repeated: dict[tuple[ca.Function, int], Repeated] = {}
         rows = self.g.shape[0]
         self.lower = np.broadcast_to(np.asarray(self.lower, float), (rows,))
         self.upper = np.broadcast_to(np.asarray(self.upper, float), (rows,))
@@ -199,12 +198,10 @@ class Element:
         """One of its functions at ``count`` columns, for evaluation only: as machine code once that pays."""
         if not long(function, count):
             return _mapped(function, count)
-        name = function.name()
-        if (name, count) not in self._repeated:
-            kernel = self._kernels.setdefault(name, Kernel(function))
+        if (function, count) not in self._repeated:
             # of two threads, both take the one that is kept: CasADi calls another one after Python has deleted it
-            self._repeated.setdefault((name, count), Repeated(kernel, count))
-        return self._repeated[name, count]
+            self._repeated.setdefault((function, count), Repeated(Kernel(function), count))
+        return self._repeated[function, count]
 
 
 def _inserted(pairs: Sequence[tuple[Any, Any]], results: list[Any]) -> list[Any]:

@@ -14,8 +14,8 @@ LEAST = 5000
 
 
 class Repeated(ca.Callback):
-    """A ``kernel`` of dense columns at ``count`` of them, as CasADi's ``map``, which can differentiate it only if it is
-    interpreted. Keep a reference: CasADi has none."""
+    """A ``kernel`` of dense columns at ``count`` of them, as CasADi's ``map``, but without derivatives. Keep a
+    reference: CasADi has none."""
 
     def __init__(self, kernel: Kernel, count: int):
         super().__init__()

@@ -244,7 +244,7 @@ class Curves:
         return [_cubic(x - knot, cubic) for cubic in cubics]
 
     def pieces_at(self, count: int) -> ca.Function:
-        """Speeds (1, count) -> the pieces (size, count) there."""
+        """Speeds (1, count) -> the pieces (size, count) there, by a call: SX cannot look up."""
         if count not in self._calls:
             speeds = ca.MX.sym("speeds", 1, count)
             found = ca.low(ca.DM([*self.splines[0].knots, math.inf]), _magnitude(speeds.T))
