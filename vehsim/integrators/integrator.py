@@ -27,7 +27,7 @@ class Integrator(PhaseIntegrator):
 
     ``step`` s; ``difference_map``: a key of `vehsim.lie.maps.MAPS`; ``order`` 2, 4 or 6; ``wind`` (3,) m/s in world
     axes; ``quadrature`` of the forces. Momentum is carried at the knots, so velocities are those *at* the knot.
-    ``compiled``: as machine code from the first step, five to ten times as fast, with the same results; by default,
+    ``compiled``: as machine code from the first step, with the same results, up to four times as fast; by default,
     only long clips are. Without ``llvmlite`` there is a warning, and ``compiled`` stays False.
 
     Damping too fast for the step is warned about: by clips at both their ends, by steppers, fleets and the first

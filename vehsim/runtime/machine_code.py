@@ -1,8 +1,8 @@
 """CasADi functions as machine code, which LLVM builds in memory.
 
 LLVM is given the operations of CasADi's interpreter in their order, may neither reorder nor fuse them, and calls the
-same mathematical library: results are equal to the last bit, in a tenth of the time. Its optimisation is off. That
-takes ten times as long as all the rest, and the code then runs twice as fast, which rarely repays it.
+same mathematical library: results are equal to the last bit, in a sixth to a tenth of the time. It does not optimise.
+Optimising takes ten times as long as all the rest, and the code then runs up to twice as fast, which rarely repays it.
 """
 
 from __future__ import annotations

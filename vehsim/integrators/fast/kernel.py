@@ -82,7 +82,7 @@ class Kernel:
         if compiled and not self.compiled:
             self._evaluations.code = self._evaluations.build()
         if compiled and not self.compiled:
-            _warn_once("no machine code: llvmlite is missing, or fails here; CasADi interprets, ten times as slowly")
+            _warn_once("no machine code: llvmlite is missing, or fails here; CasADi interprets, which takes longer")
         self._in: list[Array] = []
         self._out: list[Array] | None = None
         self._blocks: dict[tuple[int, bool], tuple[Any, Any]] = {}
