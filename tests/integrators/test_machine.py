@@ -26,6 +26,11 @@ CASES = {
 }
 
 
+@pytest.fixture(autouse=True)
+def empty_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path / "cache"))
+
+
 def fresh(name):
     """A vehicle without cached functions."""
     return replace(vehsim.load_vehicle(name))
@@ -100,6 +105,20 @@ def test_rows_become_machine_code_when_that_is_worth_it(monkeypatch):
     for _ in range(3):
         np.testing.assert_array_equal(evaluated(wrong, rows), expected)
     assert not wrong.compiled
+
+
+def test_machine_code_of_another_process_is_found_earlier():
+    rows = np.random.default_rng(0).normal(size=(kernel.KNOWN, 2))
+    first = Kernel(small())
+    expected = evaluated(first, rows)
+    assert not first.compiled
+    kernel._evaluations(small()).build()  # as that process does
+    second = Kernel(small())
+    evaluated(second, rows[:-1])
+    assert not second.compiled
+    evaluated(second, rows[:1])
+    assert second.compiled
+    np.testing.assert_array_equal(evaluated(second, rows), expected)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -1,6 +1,7 @@
 """Every operation as machine code: the same bits as CasADi's interpreter, for all kinds of numbers."""
 
 import gc
+import os
 import subprocess
 import sys
 import threading
@@ -127,6 +128,37 @@ def test_a_bound_call_keeps_its_machine_code():
     assert engine() is not None
     run()
     assert out == [6.0]
+
+
+def evaluated(code, x=3.0):
+    out = np.zeros((1, 1, 1))
+    code.rows([np.full((1, 1, 1), x)], [out])
+    return out.item()
+
+
+def test_code_is_built_once_for_all_processes(tmp_path, monkeypatch):
+    """One that is damaged, or that others can have written, is built again; each function has its own."""
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    function = ca.Function("f", [X], [2 * X])
+    assert MachineCode.recalled(function) is None
+    before = os.umask(0o002)
+    assert evaluated(MachineCode(function)) == 6.0
+    os.umask(before)
+    (entry,) = tmp_path.iterdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(machine_code, "_object_code", lambda function: pytest.fail("built again"))
+        assert evaluated(MachineCode(function)) == evaluated(MachineCode.recalled(function)) == 6.0
+    other = ca.Function("f", [X], [3 * X])
+    assert MachineCode.recalled(other) is None and evaluated(MachineCode(other)) == 9.0
+    if hasattr(os, "geteuid"):
+        entry.chmod(0o666)
+        assert MachineCode.recalled(function) is None
+        assert evaluated(MachineCode(function)) == 6.0 and not entry.stat().st_mode & 0o022
+    entry.write_bytes(entry.read_bytes()[:-100])
+    with pytest.warns(UserWarning, match="damaged cache entry"):
+        assert MachineCode.recalled(function) is None
+    with pytest.warns(UserWarning, match="damaged cache entry"):
+        assert evaluated(MachineCode(function)) == 6.0
 
 
 REFUSED = """

@@ -61,18 +61,23 @@ BLOCK = 4096
 """Files take whole blocks, bytes: many small entries are bounded too."""
 
 
-def kept(kind: str, key: object, make: Callable[[], bytes], most: int = MOST) -> bytes:
+def kept(kind: str, key: object, make: Callable[[], bytes], most: int = MOST, private: bool = False) -> bytes:
     """The result of ``make``, cached for other processes under everything that it depends on. Safe under concurrent
-    writers; a damaged entry is made again. ``kind``: change it when ``make`` changes. ``most`` as in `store`."""
-    found = lookup(kind, key)
-    return store(kind, key, make(), most) if found is None else found
+    writers; a damaged entry is made again. ``kind``: change it when ``make`` changes. ``most`` as in `store`,
+    ``private`` as in `lookup`."""
+    found = lookup(kind, key, private)
+    return store(kind, key, make(), most, private) if found is None else found
 
 
-def lookup(kind: str, key: object) -> bytes | None:
-    """The result that a process has stored with `store`; None if there is none."""
+def lookup(kind: str, key: object, private: bool = False) -> bytes | None:
+    """The result that a process has stored with `store`; None if there is none. ``private``: for what will be executed;
+    of entries that only this user can have written."""
     file = _entry(kind, key)
     with suppress(OSError):
-        content = file.read_bytes()
+        with file.open("rb") as opened:
+            if private and not _is_private(os.fstat(opened.fileno())):
+                return None
+            content = opened.read()
         if sha256(content[:-SEAL]).digest() == content[-SEAL:]:
             with suppress(OSError):  # the cache may be read-only
                 os.utime(file)  # mark as used, so that `store` spares it
@@ -81,11 +86,11 @@ def lookup(kind: str, key: object) -> bytes | None:
     return None
 
 
-def store(kind: str, key: object, made: bytes, most: int = MOST) -> bytes:
+def store(kind: str, key: object, made: bytes, most: int = MOST, private: bool = False) -> bytes:
     """Store what was ``made`` for all processes, and return it.
 
     The results of one kind take at most ``most`` bytes: the least recently used ones are removed. What follows a dash
-    in ``kind`` is its version, so those of earlier versions count too.
+    in ``kind`` is its version, so those of earlier versions count too. ``private``: only this user may write it.
     """
     if len(made) > most:
         return made
@@ -93,11 +98,20 @@ def store(kind: str, key: object, made: bytes, most: int = MOST) -> bytes:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_file(file, made + sha256(made).digest())
+        if private:  # where a user's files are by default also their group's
+            file.chmod(0o644)
     except OSError as error:
         reason = error.strerror or type(error).__name__
         warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=3)
     _shrink(kind.partition("-")[0], most)
     return made
+
+
+def _is_private(stat: os.stat_result) -> bool:
+    """Whether only this user, or the system's, can have written a file."""
+    if not hasattr(os, "geteuid"):  # on Windows, a user's folders are private
+        return True
+    return stat.st_uid in (os.geteuid(), 0) and not stat.st_mode & 0o022
 
 
 def _shrink(kind: str, most: int) -> None:

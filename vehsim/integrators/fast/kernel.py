@@ -6,6 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Any
@@ -22,36 +23,45 @@ BLOCKS = (256, 16, 1)
 WORTH = 1800
 """Evaluations after which a function has been interpreted for about as long as its machine code takes to build: 5 ns
 and 9 us for each operation. So they take at most about twice the least possible time."""
+KNOWN = 160
+"""The same of looking for its machine code in the cache, 0.8 us for each operation."""
 SHORT = 200
 """Operations that take as long as a call: shorter functions are interpreted, unless for many rows."""
 
 
 class Evaluations:
-    """How often a function is still interpreted, and its machine code after that. All its kernels share it."""
+    """How often a function was interpreted, and its machine code when that is worth it. All its kernels share it."""
 
     def __init__(self, function: ca.Function):
-        self._function, self._left = function, WORTH
+        self._function, self._count = function, 0
         self._built: MachineCode | None = None
         self.code: MachineCode | None = None
         self.lock = threading.Lock()
 
     def build(self) -> MachineCode | None:
         """Its machine code; None if LLVM is missing or fails here, or does not know an operation of the function."""
-        try:
-            self._built = self._built or MachineCode(self._function)
-        except (ImportError, OSError, RuntimeError, ValueError):
-            return None
+        return self._made(MachineCode)
+
+    def recall(self) -> MachineCode | None:
+        """Its machine code that another process has built, None if there is none."""
+        return self._made(MachineCode.recalled)
+
+    def _made(self, make: Callable[[ca.Function], MachineCode | None]) -> MachineCode | None:
+        with suppress(ImportError, OSError, RuntimeError, ValueError):
+            self._built = self._built or make(self._function)
         return self._built
 
     def count(self, inputs: Sequence[Array], outputs: Sequence[Array], aside: bool = False) -> None:
-        """Count interpreted rows (m, n, width). When machine code is worth it, it is built, ``aside`` in a thread, and
-        used if it gives the same last row."""
-        before, self._left = self._left, self._left - len(outputs[0]) * outputs[0].shape[1]
-        if before > 0 >= self._left:
-            if aside:  # a vehicle that is driven must not wait
-                threading.Thread(target=self.build).start()
-            else:
-                self.build()
+        """Count interpreted rows (m, n, width). When machine code is worth it, it is looked for in the cache, then
+        built, ``aside`` in a thread, and used if it gives the same last row."""
+        before, self._count = self._count, self._count + len(outputs[0]) * outputs[0].shape[1]
+        for worth, make in ((WORTH, self.build), (KNOWN, self.recall)):
+            if before < worth <= self._count:
+                if aside:  # a vehicle that is driven must not wait
+                    threading.Thread(target=make).start()
+                else:
+                    make()
+                break
         if (built := self._built) is not None:
             last = [np.empty_like(a[-1:, -1:]) for a in outputs]
             built.rows([a[-1:, -1:] for a in inputs], last)
