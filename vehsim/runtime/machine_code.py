@@ -181,8 +181,10 @@ def _object_code(function: ca.Function) -> bytes:
     return bytes(_machine(llvm).emit_object(llvm.parse_assembly(_written(function))))
 
 
+@lru_cache(maxsize=256)
 def _key(function: ca.Function) -> tuple[str, ...]:
-    """Everything that the code of a function depends on, but for this module."""
+    """Everything that the code of a function depends on, but for this module. It is kept for threads: CasADi may crash
+    if they touch expressions."""
     llvm = _llvm()
     made_of = sha256(function.serialize().encode()).hexdigest()
     return made_of, ca.CasadiMeta.version(), repr(llvm.llvm_version_info), llvm.get_default_triple()

@@ -55,13 +55,13 @@ class Evaluations:
         """Count interpreted rows (m, n, width). When machine code is worth it, it is looked for in the cache, then
         built, ``aside`` in a thread, and used if it gives the same last row."""
         before, self._count = self._count, self._count + len(outputs[0]) * outputs[0].shape[1]
-        for worth, make in ((WORTH, self.build), (KNOWN, self.recall)):
-            if before < worth <= self._count:
-                if aside:  # a vehicle that is driven must not wait
-                    threading.Thread(target=make).start()
-                else:
-                    make()
-                break
+        if before < KNOWN <= self._count:
+            self.recall()
+        if before < WORTH <= self._count and self._built is None:
+            if aside:  # a vehicle that is driven must not wait
+                threading.Thread(target=self.build).start()
+            else:
+                self.build()
         if (built := self._built) is not None:
             last = [np.empty_like(a[-1:, -1:]) for a in outputs]
             built.rows([a[-1:, -1:] for a in inputs], last)
