@@ -85,23 +85,32 @@ def _surface(hull: Array, spacing: float) -> Array:
     of them."""
     from scipy.spatial import ConvexHull
 
-    return np.unique(np.round(np.vstack([_filled(hull[t], spacing) for t in ConvexHull(hull).simplices]), 6), axis=0)
+    return np.unique(np.round(_filled(hull[ConvexHull(hull).simplices], spacing), 6), axis=0)
 
 
-def _filled(triangle: Array, spacing: float) -> Array:
-    """Points of a triangle (3, 3) in rows along its longest side: slivers need few of them."""
-    sides = np.roll(triangle, -1, axis=0) - triangle
-    lengths = np.linalg.norm(sides, axis=1)
-    k = int(np.argmax(lengths))
-    a, b, c = np.roll(triangle, -k, axis=0)
+def _filled(triangles: Array, spacing: float) -> Array:
+    """Points of triangles (n, 3, 3) in rows along their longest sides: slivers need few of them."""
+    sides = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+    first, each = np.argmax(sides, axis=1), np.arange(len(triangles))
+    a, b, c = (triangles[each, (first + k) % 3] for k in range(3))
+    length = sides[each, first]
+    height = np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(length, 1e-12)
     # at most half of the first and all of the second away from a point: within spacing / sqrt(3)
     along, across = 0.8 * spacing, 0.4 * spacing
-    rows = int(np.ceil(np.linalg.norm(np.cross(sides[k], c - a)) / max(lengths[k], 1e-12) / across)) or 1
-    points = [c[None]]
-    for left in np.arange(1, rows + 1) / rows:
-        n = int(np.ceil(left * lengths[k] / along))
-        points.append(c + left * (a - c) + np.outer(np.linspace(0.0, left, n + 1), b - a))
-    return np.vstack(points)
+    rows = np.maximum(np.ceil(height / across).astype(int), 1)
+    each, row = _counted(rows)
+    down = ((row + 1) / rows[each])[:, None]
+    start, side = c[each] + down * (a - c)[each], down * (b - a)[each]
+    steps = np.ceil(down[:, 0] * length[each] / along).astype(int)
+    each, step = _counted(steps + 1)
+    share = step / np.maximum(steps, 1)[each]
+    return np.vstack([c, start[each] + share[:, None] * side[each]])
+
+
+def _counted(counts: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Every index as often as ``counts`` says, and the numbers from zero of these."""
+    each = np.repeat(np.arange(len(counts)), counts)
+    return each, np.arange(len(each)) - (np.cumsum(counts) - counts)[each]
 
 
 def _spread(points: Array, count: int) -> Array:
