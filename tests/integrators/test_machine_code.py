@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from vehsim.runtime import machine_code
-from vehsim.runtime.machine_code import MachineCode
+from vehsim.runtime.machine_code import MachineCode, code_key
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 ONE = {
@@ -137,28 +137,45 @@ def evaluated(code, x=3.0):
 
 
 def test_code_is_built_once_for_all_processes(tmp_path, monkeypatch):
-    """One that is damaged, or that others can have written, is built again; each function has its own."""
     monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
-    function = ca.Function("f", [X], [2 * X])
-    assert MachineCode.recalled(function) is None
-    before = os.umask(0o002)
-    assert evaluated(MachineCode(function)) == 6.0
+    function, other = ca.Function("f", [X], [2 * X]), ca.Function("f", [X], [3 * X])
+    key = code_key(function)
+    assert MachineCode.recalled(key) is None and key != code_key(other)
+    assert evaluated(MachineCode(function)) == 6.0 and not list(tmp_path.iterdir())
+    assert evaluated(MachineCode(function, key)) == evaluated(MachineCode.recalled(key)) == 6.0
+    assert MachineCode.recalled(code_key(other)) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_only_own_code_of_this_very_function_is_executed(tmp_path, monkeypatch):
+    """Not that which others can have written, is damaged, or was moved there; and nothing warns."""
+    monkeypatch.setenv("VEHSIM_CACHE", str(tmp_path))
+    function, other = ca.Function("f", [X], [2 * X]), ca.Function("g", [X, Y], [3 * X, Y])
+    key, before = code_key(function), os.umask(0o002)
+    MachineCode(function, key)
     os.umask(before)
     (entry,) = tmp_path.iterdir()
-    with monkeypatch.context() as patch:
-        patch.setattr(machine_code, "_object_code", lambda function: pytest.fail("built again"))
-        assert evaluated(MachineCode(function)) == evaluated(MachineCode.recalled(function)) == 6.0
-    other = ca.Function("f", [X], [3 * X])
-    assert MachineCode.recalled(other) is None and evaluated(MachineCode(other)) == 9.0
+    content = entry.read_bytes()
+    assert MachineCode.recalled(key) is not None
     if hasattr(os, "geteuid"):
-        entry.chmod(0o666)
-        assert MachineCode.recalled(function) is None
-        assert evaluated(MachineCode(function)) == 6.0 and not entry.stat().st_mode & 0o022
-    entry.write_bytes(entry.read_bytes()[:-100])
-    with pytest.warns(UserWarning, match="damaged cache entry"):
-        assert MachineCode.recalled(function) is None
-    with pytest.warns(UserWarning, match="damaged cache entry"):
-        assert evaluated(MachineCode(function)) == 6.0
+        entry.chmod(0o664)
+        assert MachineCode.recalled(key) is None
+        entry.chmod(0o644)
+    entry.write_bytes(content[:-100])
+    assert MachineCode.recalled(key) is None
+    MachineCode(function, key)
+    assert MachineCode.recalled(key) is not None
+    MachineCode(other, code_key(other))
+    (moved,) = (file for file in tmp_path.iterdir() if file != entry)
+    moved.replace(entry)
+    assert MachineCode.recalled(key) is None
+    monkeypatch.setenv("VEHSIM_CACHE", str(entry / "under a file"))
+    assert evaluated(MachineCode(function, key)) == 6.0 and MachineCode.recalled(key) is None
+
+
+def test_long_functions_are_not_looked_for(monkeypatch):
+    monkeypatch.setattr(machine_code, "LONGEST", 3)
+    assert code_key(ca.Function("f", [X], [ca.sin(X)])) and not code_key(ca.Function("f", [X], [ca.sin(ca.sin(X))]))
 
 
 REFUSED = """

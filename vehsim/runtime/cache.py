@@ -61,50 +61,76 @@ BLOCK = 4096
 """Files take whole blocks, bytes: many small entries are bounded too."""
 
 
-def kept(kind: str, key: object, make: Callable[[], bytes], most: int = MOST, private: bool = False) -> bytes:
+def kept(kind: str, key: object, make: Callable[[], bytes], most: int = MOST) -> bytes:
     """The result of ``make``, cached for other processes under everything that it depends on. Safe under concurrent
-    writers; a damaged entry is made again. ``kind``: change it when ``make`` changes. ``most`` as in `store`,
-    ``private`` as in `lookup`."""
-    found = lookup(kind, key, private)
-    return store(kind, key, make(), most, private) if found is None else found
+    writers; a damaged entry is made again. ``kind``: change it when ``make`` changes. ``most`` as in `store`."""
+    found = lookup(kind, key)
+    return store(kind, key, make(), most) if found is None else found
 
 
-def lookup(kind: str, key: object, private: bool = False) -> bytes | None:
-    """The result that a process has stored with `store`; None if there is none. ``private``: for what will be executed;
-    of entries that only this user can have written."""
+def lookup(kind: str, key: object) -> bytes | None:
+    """The result that a process has stored with `store`; None if there is none."""
     file = _entry(kind, key)
     with suppress(OSError):
-        with file.open("rb") as opened:
-            if private and not _is_private(os.fstat(opened.fileno())):
-                return None
-            content = opened.read()
-        if sha256(content[:-SEAL]).digest() == content[-SEAL:]:
-            with suppress(OSError):  # the cache may be read-only
-                os.utime(file)  # mark as used, so that `store` spares it
-            return content[:-SEAL]
+        if (found := _sealed(file)) is not None:
+            return found
         warnings.warn(f"{file}: damaged cache entry, made again", stacklevel=3)
     return None
 
 
-def store(kind: str, key: object, made: bytes, most: int = MOST, private: bool = False) -> bytes:
+def store(kind: str, key: object, made: bytes, most: int = MOST) -> bytes:
     """Store what was ``made`` for all processes, and return it.
 
     The results of one kind take at most ``most`` bytes: the least recently used ones are removed. What follows a dash
-    in ``kind`` is its version, so those of earlier versions count too. ``private``: only this user may write it.
+    in ``kind`` is its version, so those of earlier versions count too.
     """
     if len(made) > most:
         return made
     file = _entry(kind, key)
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_file(file, made + sha256(made).digest())
-        if private:  # where a user's files are by default also their group's
-            file.chmod(0o644)
+        _write(file, made)
     except OSError as error:
         reason = error.strerror or type(error).__name__
         warnings.warn(f"{file.parent}: {kind}: could not be kept ({reason}); made again each time", stacklevel=3)
     _shrink(kind.partition("-")[0], most)
     return made
+
+
+def lookup_code(kind: str, key: object) -> bytes | None:
+    """The same of what will be executed: only what this user has stored under this very key. Nothing warns: without
+    it, everything works."""
+    with suppress(OSError, RuntimeError):
+        file = _entry(kind, key)
+        name = file.name.encode()
+        if (found := _sealed(file, private=True)) is not None and found.startswith(name):
+            return found[len(name) :]
+    return None
+
+
+def store_code(kind: str, key: object, made: bytes) -> None:
+    """Store for `lookup_code`, with the name of its entry: one that was moved onto another is not executed."""
+    with suppress(OSError, RuntimeError):
+        file = _entry(kind, key)
+        _write(file, file.name.encode() + made, mode=0o644)
+        _shrink(kind.partition("-")[0], MOST)
+
+
+def _sealed(file: Path, private: bool = False) -> bytes | None:
+    """The content of an entry; None if it is damaged or, if it has to be ``private``, others can have written it."""
+    with file.open("rb") as opened:
+        if private and not _is_private(os.fstat(opened.fileno())):
+            return None
+        content = opened.read()
+    if sha256(content[:-SEAL]).digest() != content[-SEAL:]:
+        return None
+    with suppress(OSError):  # the cache may be read-only
+        os.utime(file)  # mark as used, so that `store` spares it
+    return content[:-SEAL]
+
+
+def _write(file: Path, made: bytes, mode: int = 0o666) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_file(file, made + sha256(made).digest(), mode=mode)
 
 
 def _is_private(stat: os.stat_result) -> bool:

@@ -12,7 +12,7 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 
@@ -49,10 +49,11 @@ def making_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def write_file(path: Path, content: bytes | str, durable: bool = False) -> None:
-    """Write a whole file; a text is written in UTF-8. ``durable`` as in `replacing_file`."""
-    with replacing_file(path, durable) as beside:
-        beside.write_bytes(content.encode() if isinstance(content, str) else content)
+def write_file(path: Path, content: bytes | str, durable: bool = False, mode: int = 0o666) -> None:
+    """Write a whole file; a text is written in UTF-8. ``durable`` as in `replacing_file`; ``mode``: its permissions,
+    without those that the process forbids."""
+    with replacing_file(path, durable) as beside, open(beside, "wb", opener=partial(os.open, mode=mode)) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
 
 
 def owner() -> str:

@@ -9,7 +9,10 @@ The code is cached for other processes, which load it in a tenth of the time tha
 from __future__ import annotations
 
 import ctypes
+import platform
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import cache, lru_cache, partial
 from hashlib import sha256
 from typing import Any
@@ -18,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.runtime.cache import kept, lookup
+from vehsim.runtime.cache import lookup_code, store_code
 
 Array = NDArray[np.float64]
 
@@ -28,7 +31,7 @@ those of one block."""
 LONGEST = 200_000
 """Operations of the longest function: above it, the time for each grows without end."""
 
-KIND = "machine-1"
+KIND = "machine-2"
 """Kind of its entries in the cache: change it when the code of a function changes."""
 
 _ONE = ("SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH")
@@ -105,13 +108,17 @@ class MachineCode:
     It may run in several threads at once, and releases Python's lock.
     """
 
-    def __init__(self, function: ca.Function):
-        self._load(kept(KIND, _key(function), lambda: _object_code(function), private=True))
+    def __init__(self, function: ca.Function, key: str = ""):
+        """``key``: what `code_key` gives, for the cache; by default it is not cached."""
+        built = _object_code(function)
+        self._load(built)
+        if key:
+            store_code(KIND, key, built)
 
     @classmethod
-    def recalled(cls, function: ca.Function) -> MachineCode | None:
+    def recalled(cls, key: str) -> MachineCode | None:
         """That of the cache; None if it holds none."""
-        if (built := lookup(KIND, _key(function), private=True)) is None:
+        if not key or (built := lookup_code(KIND, key)) is None:
             return None
         code = cls.__new__(cls)
         code._load(built)
@@ -122,7 +129,8 @@ class MachineCode:
         self._engine = _engine(llvm)  # it owns the code
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(built))
         self._engine.finalize_object()
-        address = self._engine.get_function_address("rows")
+        if not (address := self._engine.get_function_address("rows")):
+            raise OSError("the code does not contain what it should")
         self._rows = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, *[ctypes.c_longlong] * 2)(address)
         self._rows.engine = self._engine  # type: ignore[attr-defined]  # what `bound` returns keeps it
 
@@ -181,13 +189,18 @@ def _object_code(function: ca.Function) -> bytes:
     return bytes(_machine(llvm).emit_object(llvm.parse_assembly(_written(function))))
 
 
-@lru_cache(maxsize=256)
-def _key(function: ca.Function) -> tuple[str, ...]:
-    """Everything that the code of a function depends on, but for this module. It is kept for threads: CasADi may crash
-    if they touch expressions."""
-    llvm = _llvm()
-    made_of = sha256(function.serialize().encode()).hexdigest()
-    return made_of, ca.CasadiMeta.version(), repr(llvm.llvm_version_info), llvm.get_default_triple()
+def code_key(function: ca.Function) -> str:
+    """Everything that the code of a function depends on; "" if it cannot be built. Not for threads: CasADi may crash if
+    they touch expressions."""
+    if not function.is_a("SXFunction") or function.n_instructions() > LONGEST:
+        return ""
+    with suppress(ImportError):
+        from llvmlite import __version__ as llvm  # LLVM itself takes 20 ms to load
+
+        machine = sys.platform, platform.machine(), ca.CasadiMeta.version(), llvm
+        written = _ROWS, _DECLARED, sorted(_CODE.items()), BLOCK
+        return sha256(repr((machine, written)).encode() + function.serialize().encode()).hexdigest()
+    return ""
 
 
 @cache

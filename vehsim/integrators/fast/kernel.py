@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from vehsim.lie.vectorized import point
-from vehsim.runtime.machine_code import MachineCode
+from vehsim.runtime.machine_code import MachineCode, code_key
 from vehsim.vehicles.definition.base import Array
 
 BLOCKS = (256, 16, 1)
@@ -23,8 +23,8 @@ BLOCKS = (256, 16, 1)
 WORTH = 1800
 """Evaluations after which a function has been interpreted for about as long as its machine code takes to build: 5 ns
 and 9 us for each operation. So they take at most about twice the least possible time."""
-KNOWN = 160
-"""The same of looking for its machine code in the cache, 0.8 us for each operation."""
+KNOWN = 200
+"""The same of looking for its machine code in the cache, 1 us for each operation."""
 SHORT = 200
 """Operations that take as long as a call: shorter functions are interpreted, unless for many rows."""
 
@@ -34,34 +34,40 @@ class Evaluations:
 
     def __init__(self, function: ca.Function):
         self._function, self._count = function, 0
+        self._key: str | None = None
         self._built: MachineCode | None = None
         self.code: MachineCode | None = None
         self.lock = threading.Lock()
 
     def build(self) -> MachineCode | None:
         """Its machine code; None if LLVM is missing or fails here, or does not know an operation of the function."""
-        return self._made(MachineCode)
+        return self._made(partial(MachineCode, self._function, self._named()))
 
     def recall(self) -> MachineCode | None:
         """Its machine code that another process has built, None if there is none."""
-        return self._made(MachineCode.recalled)
+        return self._made(partial(MachineCode.recalled, self._named()))
 
-    def _made(self, make: Callable[[ca.Function], MachineCode | None]) -> MachineCode | None:
+    def _made(self, make: Callable[[], MachineCode | None]) -> MachineCode | None:
         with suppress(ImportError, OSError, RuntimeError, ValueError):
-            self._built = self._built or make(self._function)
+            self._built = self._built or make()
         return self._built
+
+    def _named(self) -> str:
+        if self._key is None:
+            self._key = code_key(self._function)
+        return self._key
 
     def count(self, inputs: Sequence[Array], outputs: Sequence[Array], aside: bool = False) -> None:
         """Count interpreted rows (m, n, width). When machine code is worth it, it is looked for in the cache, then
         built, ``aside`` in a thread, and used if it gives the same last row."""
         before, self._count = self._count, self._count + len(outputs[0]) * outputs[0].shape[1]
-        if before < KNOWN <= self._count:
-            self.recall()
-        if before < WORTH <= self._count and self._built is None:
-            if aside:  # a vehicle that is driven must not wait
-                threading.Thread(target=self.build).start()
-            else:
-                self.build()
+        for worth, make in ((KNOWN, self.recall), (WORTH, self.build)):
+            if before < worth <= self._count and self._built is None:
+                if aside:  # a vehicle that is driven must not wait
+                    self._named()  # not in the thread
+                    threading.Thread(target=make).start()
+                else:
+                    make()
         if (built := self._built) is not None:
             last = [np.empty_like(a[-1:, -1:]) for a in outputs]
             built.rows([a[-1:, -1:] for a in inputs], last)
@@ -90,7 +96,7 @@ class Kernel:
         self.function = _dense(function)
         self._evaluations = _evaluations(self.function)
         if compiled and not self.compiled:
-            self._evaluations.code = self._evaluations.build()
+            self._evaluations.code = self._evaluations.recall() or self._evaluations.build()
         if compiled and not self.compiled:
             _warn_once("no machine code: llvmlite is missing, or fails here; CasADi interprets, which takes longer")
         self._in: list[Array] = []
