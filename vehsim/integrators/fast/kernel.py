@@ -41,18 +41,19 @@ class Evaluations:
 
     def build(self) -> MachineCode | None:
         """Its machine code; None if LLVM is missing or fails here, or does not know an operation of the function."""
-        return self._made(partial(MachineCode, self._function, self._named()))
+        return self._made(partial(MachineCode, self._function, self.name()))
 
     def recall(self) -> MachineCode | None:
         """Its machine code that another process has built, None if there is none."""
-        return self._made(partial(MachineCode.recalled, self._named()))
+        return self._made(partial(MachineCode.recalled, self.name()))
 
     def _made(self, make: Callable[[], MachineCode | None]) -> MachineCode | None:
         with suppress(ImportError, OSError, RuntimeError, ValueError):
             self._built = self._built or make()
         return self._built
 
-    def _named(self) -> str:
+    def name(self) -> str:
+        """The key of its machine code; it must be known before a thread builds that."""
         if self._key is None:
             self._key = code_key(self._function)
         return self._key
@@ -64,7 +65,6 @@ class Evaluations:
         for worth, make in ((KNOWN, self.recall), (WORTH, self.build)):
             if before < worth <= self._count and self._built is None:
                 if aside:  # a vehicle that is driven must not wait
-                    self._named()  # not in the thread
                     threading.Thread(target=make).start()
                 else:
                     make()
@@ -115,6 +115,8 @@ class Kernel:
         self._buffer, self._run = self.function.buffer()
         point(self._buffer, inputs, outputs)
         long = self.function.is_a("SXFunction") and self.function.n_instructions() > SHORT
+        if long:
+            self._evaluations.name()  # later, a vehicle that is driven would wait
         self.run = self._counted if long else self._run
         return self
 
