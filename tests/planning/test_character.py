@@ -484,3 +484,21 @@ def test_a_boat_turns_round_rather_than_back_up_all_the_way() -> None:
         return float(np.trapezoid(np.maximum(-plan.clip.twists[:, -2], 0.0), plan.clip.times))
 
     assert astern() < 25 < 45 < astern(cost={"effort": 1.0, "course": 0.0})
+
+
+def test_a_harder_character_is_explained_by_what_the_marks_give():
+    """Free frames leave all the time; a hold at the first mark is no frame to meet, and marks at rest are no speed."""
+    from vehsim.planning.planner import NONE_FOUND, TOO_NEAR, TOO_SOON, _why_harder
+    from vehsim.planning.request.request import make_request
+
+    car, rest = vehsim.load_vehicle("car"), (0, 0, 0)
+
+    def why(second, loop=False):
+        first = Mark(1, position=(0, 0, 0), velocity=rest, hold=24)
+        marks = [first, second, Mark("free")] if loop else [first, second]
+        return _why_harder(make_request(car, None, marks, fps=24, segments=64, loop=loop))
+
+    assert why(Mark(90, position=(40, 0, 0), velocity=rest)) == TOO_SOON
+    assert why(Mark("free", position=(40, 0, 0), velocity=rest)) == NONE_FOUND
+    assert why(Mark("free", position=(40, 0, 0), velocity=rest), loop=True) == NONE_FOUND
+    assert why(Mark("free", position=(40, 0, 0), velocity=(20, 0, 0))) == TOO_NEAR

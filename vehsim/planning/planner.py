@@ -11,6 +11,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -76,6 +77,7 @@ THROUGH = "it passes through what it must avoid: make room, move the marks, or s
 LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initial guess; {LONGER}"
 """The message of a plan that ran out of time before the first solve, and the step that used the time."""
 TOO_SOON = "the marks leave too little time for {}; give later frames"
+NONE_FOUND = "no {} motion was found"
 TOO_NEAR = "the marks leave too little room for {}; move them apart, or give lower speeds"
 """Why a motion is driven in a harder character than the request's; where the planner chooses all frames, later."""
 FINER, MOST = 4, 256
@@ -308,17 +310,26 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         return made
     assert made._iterate is not None and made._run is not None
     found = made._iterate.request.traits.name
-    why = TOO_NEAR if all(mark.frame == "free" for mark in request.marks[1:]) else TOO_SOON
+    why = _why_harder(request)
     late = made._run.deadline.late
     if made.success and not late and not _is_too_hard(made._run, replace(made._iterate, request=request)):
         # the requested character only began from a worse guess, such as to turn round instead of reversing
         near = _unless_too_hard(request, progress, made.clip, [])
         if near is not None and near.success:
             return near
-        why = "no {} motion was found"
+        why = NONE_FOUND
     elif looks := fastest_look(made.clip, request):
         why = looks + " as {}; look from farther away, or give later frames"
     return _remarked(made, f"; driven as {found}: {why.format(request.traits.name)}")
+
+
+def _why_harder(request: Request) -> str:
+    """What of the marks can leave no motion in the request's character: given frames, or else given speeds."""
+    arrivals = [mark for before, mark in pairwise(request.marks) if not before.hold]
+    if any(mark.frame != "free" for mark in arrivals):
+        return TOO_SOON
+    own = request.marks[:-1] if request.loop else request.marks
+    return NONE_FOUND if all(mark.at_rest for mark in own) else TOO_NEAR
 
 
 def _beyond_too(beyond: Sequence[Iterate], traits: Traits) -> bool:
