@@ -121,6 +121,24 @@ def test_machine_code_of_another_process_is_found_earlier():
     np.testing.assert_array_equal(evaluated(second, rows), expected)
 
 
+def test_wrong_code_in_the_cache_is_not_used_and_built_again():
+    """That of another function, stored under this one's key."""
+    x = ca.SX.sym("x", 2)
+    other = ca.Function("f", [x], [x + 1])
+    key = machine_code.code_key(small())
+    MachineCode(other, key)
+    rows = np.random.default_rng(0).normal(size=(kernel.WORTH, 2))
+    own = Kernel(small())
+    expected = np.column_stack([rows[:, 0] + np.sin(rows[:, 1]), rows[:, 1]])
+    np.testing.assert_allclose(evaluated(own, rows[: kernel.KNOWN]), expected[: kernel.KNOWN], rtol=1e-15)
+    assert not own.compiled
+    np.testing.assert_allclose(evaluated(own, rows), expected, rtol=1e-15)
+    assert own.compiled
+    found = np.empty_like(rows)
+    MachineCode.recalled(key).rows([rows[None]], [found[None]])
+    np.testing.assert_array_equal(found, evaluated(own, rows))
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_steps_one_by_one_become_machine_code_too(name, monkeypatch):
     """In place, and from state to state, unless they are short, as those of a car."""

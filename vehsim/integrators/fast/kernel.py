@@ -41,18 +41,18 @@ class Evaluations:
 
     def build(self) -> MachineCode | None:
         """Its machine code; None if LLVM is missing or fails here, or does not know an operation of the function."""
-        return self._made(partial(MachineCode, self._function, self.name()))
+        return self._made(partial(MachineCode, self._function, self.key()))
 
     def recall(self) -> MachineCode | None:
         """Its machine code that another process has built, None if there is none."""
-        return self._made(partial(MachineCode.recalled, self.name()))
+        return self._made(partial(MachineCode.recalled, self.key()))
 
     def _made(self, make: Callable[[], MachineCode | None]) -> MachineCode | None:
         with suppress(ImportError, OSError, RuntimeError, ValueError):
             self._built = self._built or make()
         return self._built
 
-    def name(self) -> str:
+    def key(self) -> str:
         """The key of its machine code; it must be known before a thread builds that."""
         if self._key is None:
             self._key = code_key(self._function)
@@ -116,7 +116,7 @@ class Kernel:
         point(self._buffer, inputs, outputs)
         long = self.function.is_a("SXFunction") and self.function.n_instructions() > SHORT
         if long:
-            self._evaluations.name()  # later, a vehicle that is driven would wait
+            self._evaluations.key()  # later, a vehicle that is driven would wait
         self.run = self._counted if long else self._run
         return self
 
