@@ -21,10 +21,11 @@ from vehsim.delivery.reports import REMEDY, reading_report
 from vehsim.intake.foreign import refuse
 from vehsim.intake.tables import dotted
 from vehsim.planning.terms import LIMITS
-from vehsim.planning.trim import steady
+from vehsim.planning.trim import flies, steady
 from vehsim.vehicles.definition.character import NORMAL, REVIEW_UNITS, SHARES_OF_TIME, Reviewed, Trait
 from vehsim.vehicles.definition.quantities import in_degrees
 from vehsim.world.ground.below import above_ground
+from vehsim.world.ground.touchdown import feet, height_below
 
 if TYPE_CHECKING:
     from vehsim.clip.clip import Clip
@@ -52,6 +53,8 @@ RESTS, MOVES = 0.01, 1.0
 """Speeds, m/s: below the first a vehicle rests; above the second its slip is measured."""
 SETTLES = 2.0
 """Seconds before and after rest in which a vehicle settles."""
+STANDS, LOW = 0.01, 0.3
+"""Heights of the lowest foot, m: below the first a vehicle at rest stands; below the second, its slide is measured."""
 STAYS = 0.1
 """Seconds for which a vehicle rests where it stops; for less, it only turns back there."""
 
@@ -162,6 +165,8 @@ def _curves(track: Track, vehicle: Any, world: World | None) -> Iterator[_Curve]
     yield reviewed("jerk", _jerk(track))
     yield reviewed("slip", _slip(track, vehicle))
     yield reviewed("settling", _settling(track, vehicle))
+    if world is not None and flies(vehicle):
+        yield reviewed("slide", _slide(track, vehicle, world))
     if track.controls is None or not len(vehicle.controls):
         return
     if (power := _power(track, vehicle, world)) is not None:
@@ -260,6 +265,23 @@ def _settling(track: Track, vehicle: Any) -> Array:
         departure = places[end : min(until, end + reach) + 1]
         for i, leg in ((begin, arrival), (end, departure)):
             found[i] = np.nanmax([found[i], *(_to_and_fro(leg[:, way]) for way in ways)])
+    return found
+
+
+def _slide(track: Track, vehicle: Any, world: World) -> Array:
+    """Largest speed of a foot over the ground, m/s, just above it within two seconds of standing there; nan
+    elsewhere."""
+    found, reach = np.full(len(track.frames), np.nan), round(SETTLES * float(track.fps) * PER_FRAME)
+    for begin, end in _stays(track):
+        span = np.arange(max(begin - reach, 0), min(end + reach + 1, len(found)))
+        arms = np.einsum("nij,kj->nki", track.rotations[span], feet(vehicle))
+        places = track.positions[span, None] + arms
+        heights = places[..., 2] - height_below(world, places.reshape(-1, 3)).reshape(places.shape[:2])
+        if heights[begin - span[0]].min() < STANDS:
+            omegas = _rotated(track.rotations[span], track.omegas[span])
+            velocities = track.velocities[span, None] + np.cross(omegas[:, None], arms)
+            speeds = np.linalg.norm(velocities[..., :2], axis=2).max(axis=1)
+            found[span] = np.fmax(found[span], np.where(heights.min(axis=1) < LOW, speeds, np.nan))
     return found
 
 

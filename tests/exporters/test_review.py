@@ -20,6 +20,7 @@ from vehsim.exporters.checks.review import outside, review, shown
 from vehsim.exporters.checks.review_page import write_page
 from vehsim.pilots.controllers import FollowPath
 from vehsim.vehicles.definition.character import REVIEW_UNITS, REVIEWED
+from vehsim.world.ground import touchdown
 from vehsim.world.obstacles.obstacles import box
 
 BOAT, CAR = vehsim.load_vehicle("boat").planar, vehsim.load_vehicle("car")
@@ -307,6 +308,40 @@ def test_a_hover_near_the_ground_needs_less_power() -> None:
     ):
         assert free - power(height, world) == pytest.approx(saved, rel=5e-3)
     assert power(40.0, flat) == pytest.approx(free)
+
+
+def landed(slide: float, turn: float, ground: float) -> Clip:
+    """A helicopter that comes down at 0.5 m/s and stands from 3 s on at the height ``ground``, m; from a second before,
+    it slides aside at ``slide`` m/s and turns at ``turn`` rad/s until it stands."""
+    t = np.linspace(0.0, 6.0, 1441)
+    z = np.zeros(len(t))
+    late = (t > 2) & (t < 3)
+    yaw = turn * (np.clip(t, 2, 3) - 2)
+    positions = np.column_stack([z, slide * (np.clip(t, 2, 3) - 2), ground + 0.5 * np.clip(3 - t, 0, None)])
+    body = [slide * late * np.sin(yaw), slide * late * np.cos(yaw)]
+    twists = np.column_stack([z, z, turn * late, *body, np.where(t < 3, -0.5, 0.0)])
+    turned = np.column_stack([np.cos(yaw / 2), z, z, np.sin(yaw / 2)])
+    none, controls = np.zeros((len(t), 0)), np.zeros((len(t), 4))
+    return Clip(HELICOPTER, t, positions, turned, twists, none, none, controls, {}, Fraction(24))
+
+
+@pytest.mark.parametrize("top", [0.0, 2.0], ids=["ground", "pad"])
+def test_the_slide_of_a_landing_is_that_of_its_skids(top: float) -> None:
+    """Their speed where it slides, the rate times the reach of the skids where it turns; none where it hovers."""
+    world = vehsim.World("flat", obstacles=[box("pad", (0, 0, top - 1.0), (20, 20, 2.0))] if top else [])
+    stands = float(touchdown.put_down(world, HELICOPTER, (0, 0, top + 3.0), (1, 0, 0, 0))[2])
+    reach = float(np.linalg.norm(touchdown.feet(HELICOPTER)[:, :2], axis=1).max())
+
+    def slide(aside: float, turn: float, above: float = 0.0) -> dict[str, Any] | None:
+        rows = review(landed(aside, turn, stands + above), world)
+        return next((row for row in rows if row["name"] == "slide"), None)
+
+    straight, aside, turned = slide(0, 0), slide(0.7, 0), slide(0, 0.3)
+    assert straight is not None and straight["inside"] is True and straight["worst"] == pytest.approx(0.0, abs=1e-6)
+    assert aside is not None and aside["inside"] is False and aside["worst"] == pytest.approx(0.7)
+    assert aside["frame"] == pytest.approx(1001 + 24 * 3, abs=24)
+    assert turned is not None and turned["worst"] == pytest.approx(0.3 * reach, rel=1e-6)
+    assert slide(0.7, 0, above=0.1) is None
 
 
 def test_slip_and_power_are_of_the_bodys_origin() -> None:

@@ -5,6 +5,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from vehsim import Shot
+from vehsim.exporters.checks.review import review
 from vehsim.exporters.checks.validate import validate_stage
 
 
@@ -36,6 +37,17 @@ def test_a_landing_from_file_to_stage(tmp_path):
     points = np.array(UsdGeom.Mesh(ball).GetPointsAttr().Get())
     radius = np.linalg.norm(points - [14, 12, 9], axis=1)
     assert radius.min() >= 3.0 - 1e-6 and radius.max() < 3.04
+
+
+@pytest.mark.parametrize("heading, wind", [(180, [0, 0, 0]), (60, [-3, 5, 0])])
+def test_a_landing_comes_down_upright_without_a_turn(heading, wind):
+    """It turned by 19 degrees per second and slid by 0.9 m/s in the last 0.3 m, see `slide`."""
+    data = shot(heading=heading, frame=265).file.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    data["world"]["wind"] = wind
+    windy = Shot.from_dict(data)
+    rows = review(windy.solve().clips["heli"], windy.world)
+    (slide,) = (row for row in rows if row["name"] == "slide")
+    assert slide["inside"] and slide["worst"] > 0.1
 
 
 @pytest.mark.parametrize("height", [2.0, 1.6])

@@ -1,4 +1,4 @@
-"""Landing and take-off at knots: stay inside a cone above the mark, and descend gently."""
+"""Landing and take-off at knots: stay inside a cone above the mark, descend gently, and slide or turn little."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 FALL, NEAR = 1.0, 4.0
 """Cost per second of descending at 1 m/s at the landing, and the distance over which it falls to 1/e, m. It keeps the
 descent speed off its bound, along which controls would chatter."""
+SLIDE, LOW = 100.0, 0.7
+"""Cost per second of feet that move at 1 m/s over the ground, and the height, m, over which it falls to 1/e: pilots
+hover over the place first, and then come down."""
 FADE = 10.0
 """Distance from a landing, m, at which its cone is halved: there the vehicle may be as much below the mark."""
 
@@ -65,12 +68,13 @@ def landing_element(transcription: Transcription, upright: Array) -> Element:
     above = landing_clearance(distance, clearance, 0.0, ca.tanh)
     below = feet(transcription.vehicle)
     flat = below @ SO3.matrix(upright).T
-    rise = [
-        (view.rotation @ ca.DM(foot))[2] - float(z) + view.position[2] - place[2]
-        for foot, z in zip(below, flat[:, 2], strict=True)
-    ]
+    arms = view.rotation @ ca.DM(below.T)
+    rise = (arms[2, :] - ca.DM(flat[:, 2]).T + view.position[2] - place[2]).T
+    slide = (ca.repmat(view.velocity, 1, len(below)) + view.rotation @ ca.skew(view.omega) @ ca.DM(below.T))[:2, :]
     down = view.velocity[2] + GENTLE + SINK * distance
-    g = ca.vertcat(counts * (ca.vertcat(*rise) - above) + (1 - counts) * FADE, down)
-    cost = FALL * v["h"] * view.velocity[2] ** 2 * ca.exp(-((distance / NEAR) ** 2))
+    g = ca.vertcat(counts * (rise - above) + (1 - counts) * FADE, down)
+    near = ca.exp(-((distance / NEAR) ** 2))
+    low = ca.exp(-((ca.sum1(rise) / len(below) / LOW) ** 2))
+    cost = v["h"] * near * (FALL * view.velocity[2] ** 2 + SLIDE * low * ca.sumsqr(slide) / len(below))
     parameters = {"clearance": clearance, "place": place}
     return Element("landing", ca.vertcat(*v.values()), parameters, f=cost, g=g, lower=0.0, upper=np.inf)

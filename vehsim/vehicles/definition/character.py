@@ -20,7 +20,7 @@ NORMAL: Final = "normal"
 """The character with whose envelope a review compares a motion."""
 DEFAULT: Final = NORMAL
 """The default character of plans."""
-Reviewed = Literal["jerk", "slip", "saturation", "reversals", "settling", "ease", "power"]
+Reviewed = Literal["jerk", "slip", "saturation", "reversals", "settling", "ease", "power", "slide"]
 """What a review compares in addition to the limits."""
 
 
@@ -48,10 +48,10 @@ REVIEWED: Mapping[str, Trait] = {
     "settling": Trait(0.05, 0.1, 0.2, "our choice: a hand's breadth to and fro, within two seconds of rest"),
     "ease": Trait(0.01, 0.01, 0.01, "our choice: share of its largest rate that a control has where a motion rests"),
 }
-"""The default envelopes of a review, SI; `slip` and `power` have none."""
+"""The default envelopes of a review, SI; `slip`, `power` and `slide` have none."""
 REVIEW_UNITS: Mapping[str, str] = {
     "jerk": "m/s^3", "slip": "rad", "saturation": "share", "reversals": "1/min", "settling": "m", "ease": "share",
-    "power": "W",
+    "power": "W", "slide": "m/s",
 }  # fmt: skip
 """The units of what a review compares."""
 SHARES_OF_TIME: frozenset[str] = frozenset({"saturation"})

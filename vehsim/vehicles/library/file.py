@@ -164,7 +164,7 @@ class CharacterTable(Table, Generic[Row]):
     control_rates: dict[str, Row] = Field(default={})
     """the greatest rates of controls by name, in their units per second"""
     review: dict[Reviewed, Row] = Field(default={})
-    """what a review compares besides: jerk, slip, saturation, reversals, settling, ease and power, in SI units"""
+    """what else a review compares: jerk, slip, saturation, reversals, settling, ease, power and slide, in SI units"""
 
 
 class VehicleFile(Table):
