@@ -54,6 +54,26 @@ def test_a_gate_is_flown_through(helicopter, gate):
     assert np.linalg.norm(np.cross(centre - [0, 0, 30], [1, 0, 0])) > 5
 
 
+@pytest.mark.parametrize("asset", ["helicopter", "car"])
+def test_a_gate_beside_the_direct_way_is_passed_near_its_centre(asset):
+    """The least effort passes it at its edge, as a stunt does."""
+    centre, height = np.array([30.0, 6.0, 0.0]), 20.0 if asset == "helicopter" else 0.0
+    centre[2] = height
+    marks = [
+        Mark(1, position=(0, 0, height), heading=0, velocity=REST),
+        Mark("free", position=centre, gate=Gate((1.0, 0.0, 0.0), size=(4.0, 2.0))),
+        Mark(281, position=(60, 0, height), heading=0, velocity=REST),
+    ]
+    aside = {}
+    for character in ("normal", "stunt"):
+        plan = vehsim.plan(vehsim.load_vehicle(asset), None, marks, character=character)
+        assert plan.success, plan.message
+        times = np.linspace(*plan.clip.times[[0, -1]], 4000)
+        places = plan.clip.at(times).positions
+        aside[character] = abs(np.interp(centre[0], *places[:, :2].T) - centre[1])
+    assert aside["normal"] < 0.5 and aside["stunt"] > 1.0
+
+
 @pytest.mark.parametrize("aside", [0.0, -0.05])
 def test_a_gate_is_not_entered_backwards(aside):
     """The gate is behind the robot, with its direction forwards: it stopped there, and never passed it.

@@ -8,7 +8,7 @@ from vehsim.planning.constraints.block import Block
 from vehsim.planning.constraints.clearance import Clearance, SphereCover
 from vehsim.planning.constraints.dynamics import Dynamics, UnconstrainedJoints, UnitQuaternion
 from vehsim.planning.constraints.easing import Easing, steady_marks
-from vehsim.planning.constraints.mark_constraints import Loop, MarkConstraint, closes_loop
+from vehsim.planning.constraints.mark_constraints import Centred, Loop, MarkConstraint, closes_loop
 from vehsim.planning.constraints.obstacle_clearance import ObstacleClearance
 from vehsim.planning.constraints.path_constraints import PathConstraint
 from vehsim.planning.constraints.timing import Timing
@@ -41,6 +41,8 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     for i, mark in enumerate(marks):
         cut = request.vehicle.attitude is not None and not request.loop and i in (0, len(marks) - 1)
         blocks.append(MarkConstraint(marks, i, closes_loop(marks, i, request.loop), cut))
+        if mark.gate is not None:
+            blocks.append(Centred(i, 0.0 if traits.name == STUNT else traits.price))
         if mark.on_ground and not (i and marks[i - 1].hold):
             blocks.append(Landing(marks, i))
     if request.loop:

@@ -32,11 +32,48 @@ Row = tuple[Expr, float, float]
 
 THROUGH = 0.05
 """Least speed through a gate, m/s: a vehicle that comes backwards and turns round in the gate does not pass it."""
+EDGE = 20.0
+"""Price of passing a gate at its edge; it falls towards the centre with the square of the distance. A second of hover
+costs 1.5: a helicopter passes a ring of 2.5 m at up to 0.5 m from its centre. Much wider gates remain free."""
 PARAMETERS = {"position": 3, "heading": 1, "orientation": 4, "velocity": 3, "speed": 1, "gate": 11}
 """The quantities a mark can fix besides joints, and their sizes."""
 BRAKED = 1e-4
 """Acceleration, m/s^2, by which brakes may hold less in a hold on a slope than they could: 1 mm of creep in 5 s."""
 SPRINGS, BRAKES = "balance on springs", "brakes"
+
+
+@dataclass(frozen=True, eq=False)
+class Centred(Block):
+    """The price of the edge of a gate, the opening of mark ``number``: a motion passes near its centre where that takes
+    little."""
+
+    number: int
+    price: float
+
+    def key(self, layout: Layout, transcription: Transcription) -> Hashable:
+        return "centred", self.number, self.price
+
+    def add(self, problem: NonlinearProgram, transcription: Transcription, layout: Layout) -> None:
+        if not self.price:
+            return
+
+        def make() -> Element:
+            v = transcription.symbols("x", "c0")
+            view, position, gate = (
+                knot_view(transcription, v["x"], v["c0"]),
+                ca.SX.sym("position", 3),
+                ca.SX.sym("gate", 11),
+            )
+            shown = 3 if transcription.vehicle.group.dim == 6 else 2
+            f = EDGE * self.price * ca.sumsqr(ca.vertcat(*_in_opening(gate, (view.position - position)[:shown])))
+            return Element("centred", ca.vertcat(*v.values()), {"position": position, "gate": gate}, f=f)
+
+        knot = layout.mark_knots[self.number]
+        parameters = {
+            key: problem.parameter(f"mark[{self.number}].{key}", PARAMETERS[key]) for key in ("position", "gate")
+        }
+        element = transcription.kept(("centred", self.price), make)
+        problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,14 +347,19 @@ def _place(transcription: Transcription, mark: Mark, view: KnotView, wanted: dic
         return []
     if mark.gate is None:
         return _equal(off, mark.tolerance)
-    axes = [wanted["gate"][3 * i : 3 * i + 3][:shown] for i in range(3)]
-    through, along, up = (ca.dot(axis, off) for axis in axes)
-    width, height = wanted["gate"][9], wanted["gate"][10]
     slowest = THROUGH if mark.velocity is None and mark.speed is None else 0.0
-    rows: list[Row] = [(through, 0.0, 0.0), (ca.dot(axes[0], view.velocity[:shown]), slowest, np.inf)]
+    axis = wanted["gate"][:shown]
+    rows: list[Row] = [(ca.dot(axis, off), 0.0, 0.0), (ca.dot(axis, view.velocity[:shown]), slowest, np.inf)]
+    along, up = _in_opening(wanted["gate"], off)
     if mark.gate.radius is not None:
-        return [*rows, (4 * (along**2 + up**2) / (width * height), 0.0, 1.0)]
-    return [*rows, (2 * along / width, -1.0, 1.0), *([(2 * up / height, -1.0, 1.0)] if shown == 3 else [])]
+        return [*rows, (along**2 + up**2, 0.0, 1.0)]
+    return [*rows, (along, -1.0, 1.0), *([(up, -1.0, 1.0)] if shown == 3 else [])]
+
+
+def _in_opening(gate: Expr, off: Expr) -> tuple[Expr, Expr]:
+    """A place in the opening of a ``gate``, ``off`` (2,) or (3,) m from its centre, relative to its edges."""
+    along, up = (ca.dot(gate[3 * i : 3 * i + off.shape[0]], off) for i in (1, 2))
+    return 2 * along / gate[9], 2 * up / gate[10]
 
 
 def _attitude(transcription: Transcription, mark: Mark, root: Expr, wanted: dict[str, Expr]) -> list[Row]:
