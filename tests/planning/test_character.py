@@ -423,9 +423,25 @@ def test_the_time_to_a_given_frame_is_used_evenly() -> None:
     assert np.abs(np.gradient(heights.positions[:, 2], heights.times)).max() < 3.5
 
 
+@pytest.mark.parametrize("character", ["brisk", "stunt", "permitted"])
+def test_only_a_stunt_brakes_with_the_handbrake(character: str) -> None:
+    """Unless the vehicle permits it: it then shares the work with the brake, which takes less effort."""
+    permitted = {"character": {"stunt_controls": []}} if character == "permitted" else {}
+    car = vehsim.load_vehicle("rally_car", permitted)
+    marks = [
+        Mark(1, position=(0, 0, 0), heading=0, velocity=(15, 0, 0)),
+        Mark(111, position=(40, 0, 0), velocity=STILL),
+    ]
+    plan = vehsim.plan(car, marks=marks, character="stunt" if character == "stunt" else "brisk")
+    assert plan.success and "driven as" not in plan.message
+    used = plan.clip.controls[:, car.control_names.index("handbrake")].max()
+    assert used == 0.0 if character == "brisk" else used > 500.0
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
+        ("[character]\nstunt_controls = ['hand']", "stunt_controls.hand"),
         ("[character.control_rates]\nthrottle = { calm = 1.0, normal = 2.0, brisk = 3.0, source = 'a' }", "throttle"),
         ("[character]\nresponse = { calm = 1.0, normal = -2.0, brisk = 3.0, source = 'a' }", "response.normal"),
         ("[character.limits]\nspeed = { calm = 1.0, normal = 2.0, brisk = 3.0 }", "speed.source"),

@@ -347,6 +347,7 @@ def test_every_number_of_a_character_can_be_replaced_on_its_own() -> None:
         ({"limits": {"bank": {"normal": 0.1}}}, "parameters.character.limits.bank", "give calm, brisk too"),
         ({"control_rates": {"torqe": {"normal": 9.0}}}, "character.control_rates.torqe", "torque"),
         ({"response": {"normal": -1.0}}, "parameters.character.response.normal", "normally"),
+        ({"stunt_controls": ["torq"]}, "character.stunt_controls.torq", "torque"),
         ({"review": {"jrk": {"normal": 4.0}}}, "parameters.character.review.jrk", "jerk"),
     ],
 )

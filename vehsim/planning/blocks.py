@@ -26,7 +26,7 @@ def blocks_of(request: Request, transcription: Transcription, cover: SphereCover
     ``cover``: the spheres that flight keeps away from terrain and obstacles; None in free space.
     """
     marks, constraints = request.marks, request.constraints
-    blocks: list[Block] = [Dynamics(marks)]
+    blocks: list[Block] = [Dynamics(marks, unused=request.traits.unused)]
     aims, traits = [term for term in constraints if term.aim is not None], request.traits
     weights, limits = traits.weights(request.weights), traits.without(request.limits)
     # a lap at given frames, without drag and stops, costs next to nothing at any speed

@@ -52,6 +52,8 @@ def traits(vehicle: str) -> str:
         all_three = (factor * trait.calm, factor * trait.normal, factor * trait.brisk)
         values = " | ".join(f"{value:.4g}" if value < 1e4 else f"{value:.0f}" for value in all_three)
         text += f"| {name} | {values} | {shown} | {trait.source} |\n"
+    for control in (control for control in loaded.controls if control.name in loaded.character.stunt_controls):
+        text += f"| {control.name} | 0 | 0 | 0 | {control.unit} | our choice: only a stunt uses it |\n"
     return text
 
 

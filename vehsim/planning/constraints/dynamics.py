@@ -40,11 +40,13 @@ class Dynamics(Block):
     """The discrete mechanics of every segment outside of holds; during holds state and controls are constant.
 
     Controls and joints stay within the vehicle's bounds, and without slipping tyres headings stay within `TURNS` of
-    the guess. ``aloft``: rotors do not feel the ground.
+    the guess. ``aloft``: rotors do not feel the ground; ``unused``: the controls that stay as near to zero as their
+    bounds permit.
     """
 
     marks: Sequence[Mark]
     aloft: bool = True
+    unused: tuple[str, ...] = ()
 
     def complete(self) -> Dynamics:
         return replace(self, aloft=False) if self.aloft else self
@@ -76,12 +78,10 @@ class Dynamics(Block):
     def bound(self, trajectory: Trajectory, lower: Array, upper: Array) -> None:
         transcription, layout = trajectory.transcription, trajectory.layout
         knots = layout.control(np.arange(layout.knots))
-        lower[knots] = (np.array([c.lower for c in transcription.vehicle.controls]) / transcription.control_scale)[
-            :, None
-        ]
-        upper[knots] = (np.array([c.upper for c in transcription.vehicle.controls]) / transcription.control_scale)[
-            :, None
-        ]
+        for row, control in zip(knots, transcription.vehicle.controls, strict=True):
+            ends = np.array([control.lower, control.upper])
+            ends = np.clip([0.0, 0.0], *ends) if control.name in self.unused else ends
+            lower[row], upper[row] = ends / control.scale
         if transcription.vehicle.group.planar and math.isinf(transcription.vehicle.largest_step):
             headings = layout.knot(np.arange(layout.knots))[0]
             lower[headings], upper[headings] = trajectory.x[headings] - TURNS, trajectory.x[headings] + TURNS

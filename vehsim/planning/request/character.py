@@ -34,6 +34,8 @@ class Traits:
     control_rates: Mapping[str, float] = field(default_factory=dict)
     costs: Mapping[str, float] = field(default_factory=dict)
     price: float = 1.0
+    unused: tuple[str, ...] = ()
+    """The controls that only a stunt uses."""
     harder: Traits | None = None
     """Those of the next harder character; a stunt has none."""
 
@@ -79,6 +81,7 @@ def traits_of(vehicle: Vehicle, name: str, cost: str | Mapping[str, float]) -> T
         {key: trait.of(name) for key, trait in character.control_rates.items()},
         {key: weight for key, weight in costs.items() if isinstance(cost, str) or key not in cost},
         price,
+        character.stunt_controls,
         harder,
     )
 

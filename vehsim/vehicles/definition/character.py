@@ -73,3 +73,5 @@ class Character:
     limits: Mapping[str, Trait] = field(default_factory=dict)
     control_rates: Mapping[str, Trait] = field(default_factory=dict)
     review: Mapping[str, Trait] = field(default_factory=lambda: REVIEWED)
+    stunt_controls: tuple[str, ...] = ()
+    """The controls that only a stunt uses, such as a handbrake at speed."""

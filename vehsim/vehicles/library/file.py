@@ -165,6 +165,8 @@ class CharacterTable(Table, Generic[Row]):
     """the greatest rates of controls by name, in their units per second"""
     review: dict[Reviewed, Row] = Field(default={})
     """what else a review compares: jerk, slip, saturation, reversals, settling, ease, power and slide, in SI units"""
+    stunt_controls: list[str] | None = None
+    """the names of controls that only a stunt uses; all others leave them at zero"""
 
 
 class VehicleFile(Table):

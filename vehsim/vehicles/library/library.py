@@ -267,13 +267,15 @@ def _limits(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> dict[str, tu
 
 def _character(path: Path, vehicle: Vehicle, table: dict[str, Any]) -> Character:
     _known(path, "character.control_rates.", table.get("control_rates", {}), set(vehicle.control_names))
-    own, traits = vehicle.character, {}
+    own, traits, stunts = vehicle.character, {}, table.get("stunt_controls", vehicle.character.stunt_controls)
+    _known(path, "character.stunt_controls.", dict.fromkeys(stunts), set(vehicle.control_names))
     for kind in ("costs", "limits", "control_rates", "review"):
         known = getattr(own, kind)
         rows = table.get(kind, {})
         traits[kind] = {name: _trait(path, f"{kind}.{name}", known.get(name), row) for name, row in rows.items()}
     traits["review"] = {**own.review, **traits["review"]}
-    return replace(own, response=_trait(path, "response", own.response, table.get("response", {})), **traits)
+    response = _trait(path, "response", own.response, table.get("response", {}))
+    return replace(own, response=response, stunt_controls=tuple(stunts), **traits)
 
 
 def _trait(path: Path, key: str, default: Trait | None, row: dict[str, Any]) -> Trait:

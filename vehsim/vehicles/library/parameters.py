@@ -105,9 +105,10 @@ def _sourced(character: Mapping[str, Any]) -> dict[str, Any]:
     tables = {
         key: {name: {**source, **row} for name, row in table.items()}
         for key, table in character.items()
-        if key != "response"
+        if key not in ("response", "stunt_controls")
     }
-    return tables | ({"response": {**source, **character["response"]}} if "response" in character else {})
+    response = {"response": {**source, **character["response"]}} if "response" in character else {}
+    return {**character, **tables, **response}
 
 
 def in_unit(data: Mapping[str, Any], kind: str, name: str) -> str:
