@@ -128,13 +128,13 @@ class Canvas:
         water.draw(self._model, data, self._context, frame, self.scene.camera[0], height, self._mirrored)
 
     def picture(
-        self, size: tuple[int, int], shadows: bool, marks: Sequence[Ribbon], haze: tuple[float, float]
+        self, size: tuple[int, int], shadows: bool, marks: Sequence[Ribbon], albedo: Array, haze: tuple[float, float]
     ) -> Picture:
         """Colour (h, w, 3) of everything in haze, with the sky behind it, from the bottom row up; ``size`` (w, h);
-        tyre ``marks`` on the ground; ``haze``: where it begins and ends, m."""
+        tyre ``marks`` on ground with an ``albedo`` (3,), linear; ``haze``: where it begins and ends, m."""
         self._draw(self.scene, size, SHADOW=shadows, FOG=True)
         self._backdrop.draw_sky(self.scene.camera[0], max(round(size[0] / STAR_POINTS), 1))
-        draw_tyre_marks(marks, np.asarray(self.scene.camera[0].pos, float), haze)
+        draw_tyre_marks(marks, np.asarray(self.scene.camera[0].pos, float), haze, albedo)
         self._backdrop.draw_glass(self.glass)
         geoms = [*self.scene.geoms[: self.scene.ngeom], *self.glass.geoms[: self.glass.ngeom]]
         self._gloss.draw(geoms, self.scene.camera[0], size, haze)

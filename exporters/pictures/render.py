@@ -22,6 +22,7 @@ from vehsim.exporters.pictures.motion_passes import Pixels, drop_flow, drops_see
 from vehsim.exporters.pictures.passes import prim_colours
 from vehsim.exporters.pictures.spray import draw_spray
 from vehsim.exporters.pictures.water import ON_WATER, WaterView, distance_of, places_of
+from vehsim.exporters.usd.scenery.lighting import to_linear
 from vehsim.exporters.usd.scenery.shading import author_material, author_skybox, light_for, mean_of
 from vehsim.exporters.usd.stage import Shape, StageReader
 
@@ -86,6 +87,8 @@ class StageRenderer:
         self._grain = np.array([*(grain.get(name, 0.0) for name in geoms), 0.0], np.float32)  # the last: no geom
         ground = {f"shape{k}" for k, shape in enumerate(stage.shapes) if is_ground(shape)}
         self._ground = np.array([*(name in ground for name in geoms), False])
+        ground_colours = (mean_of(shape.surface) for shape in stage.shapes if is_ground(shape))
+        self._albedo = to_linear(next(ground_colours, np.zeros(3)))
         self._mocap = {
             group: self._model.body_mocapid[self._model.body(f"group{k}").id] for k, group in enumerate(stage.groups)
         }
@@ -113,7 +116,7 @@ class StageRenderer:
         if self._water is not None:
             canvas.draw_water(self._water, self._data, frame, self.size[1])
         marks = self.stage.tyre_marks_at(frame)
-        colour = canvas.picture(self._size, self._shadows, marks, (HAZE[0], self._haze_end))
+        colour = canvas.picture(self._size, self._shadows, marks, self._albedo, (HAZE[0], self._haze_end))
         if side == 1 and not self._detailed and self._water is None:
             return np.ascontiguousarray(colour[::-1])
         depth = canvas.depth(self._size)

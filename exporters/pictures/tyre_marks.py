@@ -1,6 +1,6 @@
 """How the preview draws tyre marks: ribbons that darken the ground, by OpenGL in the same buffers as MuJoCo.
 
-MuJoCo has no opacity by vertex. A mark multiplies what it covers by its colour over that of usual ground, so it keeps
+MuJoCo has no opacity by vertex. A mark multiplies what it covers by its colour over that of the ground, so it keeps
 the light and the shadows that are drawn there.
 """
 
@@ -18,15 +18,15 @@ from vehsim.exporters.usd.stage import Ribbon
 Array = NDArray[np.float64]
 
 GROUND = 0.22
-"""Albedo of usual ground, linear, that a mark's colour is over."""
+"""Albedo of usual ground, linear, that a mark's colour is over; brighter ground, such as snow, has its own."""
 ACROSS = np.array([0.0, SHOULDER, 1 - SHOULDER, 1.0])
 """Where a ribbon has vertices from its left to its right end: it is full between the inner two."""
 FULL = np.array([0.0, 1.0, 1.0, 0.0])
 
 
-def draw_tyre_marks(ribbons: Sequence[Ribbon], eye: Array, haze: tuple[float, float]) -> None:
+def draw_tyre_marks(ribbons: Sequence[Ribbon], eye: Array, haze: tuple[float, float], albedo: Array) -> None:
     """Draw after ``mjr_render``, with its context current. ``eye`` (3,) m; ``haze``: the distances at which it begins
-    and ends, m."""
+    and ends, m; ``albedo`` (3,): that of the ground, linear."""
     if not ribbons:
         return
     from OpenGL import GL
@@ -43,7 +43,7 @@ def draw_tyre_marks(ribbons: Sequence[Ribbon], eye: Array, haze: tuple[float, fl
     GL.glEnableClientState(GL.GL_VERTEX_ARRAY)
     GL.glEnableClientState(GL.GL_COLOR_ARRAY)
     for ribbon in ribbons:
-        points, left = strip(ribbon, eye, haze)
+        points, left = strip(ribbon, eye, haze, albedo)
         GL.glVertexPointer(3, GL.GL_FLOAT, 0, points)
         GL.glColorPointer(3, GL.GL_FLOAT, 0, left)
         GL.glDrawArrays(GL.GL_QUADS, 0, len(points))
@@ -64,12 +64,14 @@ def across(ribbon: Ribbon) -> tuple[Array, Array]:
     return left + ACROSS[:, None] * (right - left), FULL * opacity
 
 
-def strip(ribbon: Ribbon, eye: Array, haze: tuple[float, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def strip(
+    ribbon: Ribbon, eye: Array, haze: tuple[float, float], albedo: Array
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Corners (n, 3) m of a ribbon's quads, and the share of the light (n, 3) that it leaves there."""
     grid, opacity = across(ribbon)
     distance = np.linalg.norm(grid - eye, axis=-1)
     clear = np.clip((haze[1] - distance) / (haze[1] - haze[0]), 0, 1)
-    shade = np.minimum(to_srgb(ribbon.colour) / to_srgb(GROUND), 1.0)
+    shade = np.minimum(to_srgb(ribbon.colour) / to_srgb(np.maximum(albedo, GROUND)), 1.0)
     light = 1 - (clear * opacity)[..., None] * (1 - shade)
     quads = [(slice(0, -1), k) for k in range(3)]
     corners = [

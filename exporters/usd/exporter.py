@@ -247,10 +247,14 @@ def author_bounds(prim: Any, frames: tuple[int, int]) -> None:
 
 
 def _author_terrain(stage: Any, scope: str, take: Take, pack: Pack, shot: Path) -> None:
-    """Reference the terrain's look, or a ground authored from its heights if it has none."""
+    """Reference the terrain's look, or a ground authored from its heights if it has none.
+
+    A look that says what it shows gets the surface on which the vehicles drive, if that is another one.
+    """
     from pxr import Kind, UsdGeom
 
-    from vehsim.exporters.usd.scenery.ground import level_ground, write_ground
+    from vehsim.exporters.usd.scenery.driven import surface_of
+    from vehsim.exporters.usd.scenery.ground import author_surface, level_ground, write_ground
     from vehsim.world.terrain.terrain import Terrain
 
     terrain, name = take.world.terrain, "terrain"
@@ -259,15 +263,21 @@ def _author_terrain(stage: Any, scope: str, take: Take, pack: Pack, shot: Path) 
         terrain, name = Terrain.load("flat"), "ground"
     if terrain is None:
         return
+    surface = surface_of(take)
     if terrain.look is not None:
         asset = pack.add(terrain.look, terrain.name)
     else:
-        asset, files = write_ground(terrain, pack.folder / "assets")
+        asset, files = write_ground(terrain, pack.folder / "assets", surface)
         pack.written.extend(files)
     xform = UsdGeom.Xform.Define(stage, f"{scope}/{name}")
     xform.GetPrim().GetPayloads().AddPayload(pack.relative(asset, shot))
     if middle is not None and middle.any():
         xform.AddTranslateOp().Set((*middle.tolist(), 0.0))
+    if surface is not None and terrain.shows not in (None, surface):
+        file = pack.folder / "assets" / "surfaces" / f"{surface.replace(' ', '_')}.png"
+        place = f"{scope}/materials/{file.stem}"
+        author_surface(stage, place, xform.GetPrim(), file, pack.relative(file, shot), surface)
+        pack.written.append(file)
     author_bounds(xform.GetPrim(), take.frames)
     correct_units(xform, asset)
     _model(xform.GetPrim(), Kind.Tokens.component, terrain.name, pack.relative(asset, shot))

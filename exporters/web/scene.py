@@ -21,6 +21,7 @@ from vehsim.constants import GRAVITY
 from vehsim.exporters.pictures.render import HAZE, bounds_of, haze_end
 from vehsim.exporters.usd.sampling import clip_at
 from vehsim.exporters.usd.scenery.distant_waves import DistantWaves, distant_waves
+from vehsim.exporters.usd.scenery.driven import surface_of
 from vehsim.exporters.usd.scenery.ground import level_ground
 from vehsim.exporters.usd.scenery.lighting import encode_srgb
 from vehsim.exporters.usd.scenery.shading import DEFAULT_SUN, below_horizon, dome_mean, exposure_of, sky_image
@@ -161,6 +162,7 @@ class Kinematics:
             and take.render == self._take.render
             and _dressed(take) == _dressed(self._take)
             and (level_ground(take) is None) == (level_ground(self._take) is None)
+            and surface_of(take) == surface_of(self._take)
             and not self.stage.tyre_marks
             and not _marks_ground(take)
         )

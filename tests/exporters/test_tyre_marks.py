@@ -16,9 +16,11 @@ from vehsim.cameras.camera import CameraRig
 from vehsim.cameras.framing import solve_camera
 from vehsim.delivery.take import RenderSettings, Take, UsdSettings
 from vehsim.exporters.pictures.render import StageRenderer
+from vehsim.exporters.pictures.tyre_marks import strip
 from vehsim.exporters.usd.exporter import write_usd
+from vehsim.exporters.usd.scenery.driven import GROUNDS
 from vehsim.exporters.usd.scenery.tyre_marks import LOOKS, ROWS, marks_of
-from vehsim.exporters.usd.stage import TYRE_MARK, StageReader
+from vehsim.exporters.usd.stage import TYRE_MARK, Ribbon, StageReader
 from vehsim.world.ground.placing import place_on_terrain
 from vehsim.world.terrain.terrain import Terrain
 
@@ -189,3 +191,13 @@ def test_pictures_show_them(tmp_path, origin):
         assert picture[marked].mean() < 0.6 * picture[beside].mean()
     ahead = seen(9.0, HALF), seen(9.0, HALF / 2)
     assert picture[ahead[0]].mean() == pytest.approx(picture[ahead[1]].mean(), rel=0.2)
+
+
+@pytest.mark.parametrize("surface", ["gravel", "snow", "ice"])
+def test_pictures_show_marks_on_bright_ground(surface):
+    """Marks are darker than the ground that they are on: on snow, they were lighter than usual ground, and not seen."""
+    rows = np.array([((x, 0.1, 0.0), (x, -0.1, 0.0)) for x in (0.0, 1.0)])
+    ribbon = Ribbon(rows, np.full((2, 2), LOOKS[surface].opacity), np.array(LOOKS[surface].colour))
+    albedo = GROUNDS[surface].paint().mean(axis=(0, 1))
+    _, light = strip(ribbon, np.array([0.0, 0.0, 2.0]), (100.0, 200.0), albedo)
+    assert light.min() < 0.95

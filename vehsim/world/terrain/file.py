@@ -8,6 +8,7 @@ from annotated_types import Len
 from pydantic import Discriminator, Field, Tag
 
 from vehsim.intake.tables import Array, Number, Positive, Table, Text
+from vehsim.vehicles.definition.surfaces import SurfaceName
 
 Pair = Annotated[list[Number], Array, Len(2, 2)]
 Corners = Annotated[list[Number], Array, Len(4, 4)]
@@ -34,6 +35,8 @@ class TerrainFile(Table):
     """the side of the first row of an NPY or NPZ"""
     look: Text | None = None
     """a USD file that is drawn, relative to this file"""
+    shows: SurfaceName | None = None
+    """the surface that the look shows, of level ground; vehicles on another one are shown on that one"""
     cell: Cell | None = None
     """the spacing of the heights in m, above zero: a number, or [x, y]"""
     origin: Pair | None = None

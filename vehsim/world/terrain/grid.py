@@ -47,6 +47,8 @@ class HeightGrid:
     surface: TerrainSurface | None = None
     level: Level | None = None
     """The ground of one vehicle among several levels; by default, the lowest."""
+    shows: str | None = None
+    """The surface under tyres that the look shows: pictures may show another one. None: they keep the look."""
 
     def __post_init__(self) -> None:
         heights = np.array(self.heights, dtype=np.float64)  # our own read-only copy, so that caches stay valid

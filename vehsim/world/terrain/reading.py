@@ -50,10 +50,10 @@ trees stays below 10; each point's side of the surface costs time in proportion.
 class Placement:
     """The placement of a file's heights in the world; None: from the file itself.
 
-    ``cell`` (dx, dy) and ``origin`` (x, y), m; ``range`` heights of black and white, m; ``look`` a USD file. Of a
-    height map, ``crop`` (west, south, east, north) m is the part that is read, ``resample`` m the new spacing, and
-    ``nodata`` the value of missing heights. ``array`` is the name of the heights in an archive, ``first_row`` "south"
-    or "north".
+    ``cell`` (dx, dy) and ``origin`` (x, y), m; ``range`` heights of black and white, m; ``look`` a USD file, which
+    ``shows`` a surface under tyres. Of a height map, ``crop`` (west, south, east, north) m is the part that is read,
+    ``resample`` m the new spacing, and ``nodata`` the value of missing heights. ``array`` is the name of the heights in
+    an archive, ``first_row`` "south" or "north".
     """
 
     file: Path
@@ -66,6 +66,7 @@ class Placement:
     nodata: float | None = None
     array: str | None = None
     first_row: str | None = None
+    shows: str | None = None
 
 
 def read_heights(source: str | Path) -> HeightGrid:
@@ -79,11 +80,11 @@ def read_heights(source: str | Path) -> HeightGrid:
         raise InputError("no such terrain or file", remedy, key="terrain", value=str(source))
     if path.suffix == ".toml":
         heights, placement = _read_toml(path)
-        return replace(_read_map(heights, placement), name=path.parent.name, look=placement.look)
+        return replace(_read_map(heights, placement), name=path.parent.name, look=placement.look, shows=placement.shows)
     beside = path.with_suffix(".toml")
     placement = _read_toml(beside)[1] if beside.is_file() and not _is_shot(beside) else Placement(path)
     terrain = _read_map(path, placement)
-    return replace(terrain, look=placement.look) if placement.look else terrain
+    return replace(terrain, look=placement.look, shows=placement.shows) if placement.look else terrain
 
 
 def _is_shot(path: Path) -> bool:
@@ -105,7 +106,7 @@ def _read_map(path: Path, placement: Placement) -> HeightGrid:
         raise refuse(path, "terrain", "unknown kind of file", f"use one of {' '.join(READERS)}", path.suffix)
     reader, keys = READERS[path.suffix.lower()]
     for field in fields(placement):
-        if field.name not in ("file", "look", *keys) and getattr(placement, field.name) is not None:
+        if field.name not in ("file", "look", "shows", *keys) and getattr(placement, field.name) is not None:
             said = f"{field.name} has no effect on a {path.suffix} file; it uses {', '.join(keys)}"
             warnings.warn(f"{placement.file}: {said}", stacklevel=2)
     with reading(path, "terrain"):
@@ -126,7 +127,7 @@ def _read_toml(path: Path) -> tuple[Path, Placement]:
         dependencies(look)
     pairs: dict[str, Any] = {key: _pair(table.get(key)) for key in ("cell", "origin", "range")}
     crop: Any = tuple(map(float, table["crop"])) if "crop" in table else None
-    others = {key: table.get(key) for key in ("resample", "nodata", "array", "first_row")}
+    others = {key: table.get(key) for key in ("resample", "nodata", "array", "first_row", "shows")}
     heights = _heights_file(path, table["heights"]) if "heights" in table else path
     return heights, Placement(path, look=look, crop=crop, **others, **pairs)
 
