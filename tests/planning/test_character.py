@@ -423,6 +423,18 @@ def test_the_time_to_a_given_frame_is_used_evenly() -> None:
     assert np.abs(np.gradient(heights.positions[:, 2], heights.times)).max() < 3.5
 
 
+@pytest.mark.parametrize(("frames", "hurried"), [((1085, 1285), "mark[1]"), ((1200, 1306), "mark[2]")])
+def test_the_mark_that_leaves_too_little_time_is_named(frames: tuple[int, int], hurried: str) -> None:
+    marks = [
+        Mark(1001, position=(0, 0, 0), heading=0, velocity=STILL),
+        Mark(frames[0], position=(15, 4, 0), velocity=STILL),
+        Mark(frames[1], position=(40, 0, 0), velocity=STILL),
+    ]
+    with pytest.warns(UserWarning, match="driven as"):
+        message = vehsim.plan(vehsim.load_vehicle("car"), None, marks).message
+    assert f"too little time for normal, most of all {hurried}; give later frames" in message
+
+
 @pytest.mark.parametrize("character", ["brisk", "stunt", "permitted"])
 def test_only_a_stunt_brakes_with_the_handbrake(character: str) -> None:
     """Unless the vehicle permits it: it then shares the work with the brake, which takes less effort."""

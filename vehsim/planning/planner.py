@@ -76,7 +76,7 @@ THROUGH = "it passes through what it must avoid: make room, move the marks, or s
 """Remedies for a motion that keeps too little clearance, and for one that keeps none."""
 LATE = f"{HURRIED} before solving began{{}}: the motion is the unverified initial guess; {LONGER}"
 """The message of a plan that ran out of time before the first solve, and the step that used the time."""
-TOO_SOON = "the marks leave too little time for {}; give later frames"
+TOO_SOON = "the marks leave too little time for {}{}; give later frames"
 NONE_FOUND = "no {} motion was found"
 TOO_NEAR = "the marks leave too little room for {}; move them apart, or give lower speeds"
 """Why a motion is driven in a harder character than the request's; where the planner chooses all frames, later."""
@@ -320,7 +320,8 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         why = NONE_FOUND
     elif looks := fastest_look(made.clip, request):
         why = looks + " as {}; look from farther away, or give later frames"
-    return _remarked(made, f"; driven as {found}: {why.format(request.traits.name)}")
+    where = _most_hurried(made._iterate, request) if made.success and why == TOO_SOON else ""
+    return _remarked(made, f"; driven as {found}: {why.format(request.traits.name, where)}")
 
 
 def _why_harder(request: Request) -> str:
@@ -330,6 +331,18 @@ def _why_harder(request: Request) -> str:
         return TOO_SOON
     own = request.marks[:-1] if request.loop else request.marks
     return NONE_FOUND if all(mark.at_rest for mark in own) else TOO_NEAR
+
+
+def _most_hurried(iterate: Iterate, request: Request) -> str:
+    """The mark on whose way a motion exceeds the request's character most, in words; empty if there is one way only."""
+    rows = [row for row in _soft_rows(iterate, request) if row.value and row.upper and row.frame is not None]
+    if not rows or len({mark.place for mark in request.marks}) <= 2:
+        return ""
+    worst = max(rows, key=lambda row: abs(row.value or 0.0) / (row.upper or 1.0))
+    later = [
+        mark.name for mark, frame in zip(request.marks, iterate.mark_frames(), strict=True) if frame >= worst.frame
+    ]
+    return f", most of all {later[0]}" if later else ""
 
 
 def _beyond_too(beyond: Sequence[Iterate], traits: Traits) -> bool:
@@ -470,9 +483,14 @@ def _strain(iterate: Iterate, request: Request) -> float:
     """The largest ratio of a coarse motion to a soft limit of the request's character."""
     known = iterate.strains
     if request not in known:
-        soft = [ask for ask in asks_of(request, iterate.mark_frames()) if ask.key.startswith(BEYOND)]
-        known[request] = _largest_ratio(audit(iterate.track, soft, WorldScene(request.world, request.vehicle)))
+        known[request] = _largest_ratio(_soft_rows(iterate, request))
     return known[request]
+
+
+def _soft_rows(iterate: Iterate, request: Request) -> Sequence[Row]:
+    """The measured soft limits of the request's character in a coarse motion."""
+    soft = [ask for ask in asks_of(request, iterate.mark_frames()) if ask.key.startswith(BEYOND)]
+    return audit(iterate.track, soft, WorldScene(request.world, request.vehicle))
 
 
 def _largest_ratio(rows: Sequence[Row]) -> float:
