@@ -37,7 +37,7 @@ from vehsim.cameras.path import (
     steer,
 )
 from vehsim.cameras.rigs import RIGS, Move
-from vehsim.cameras.view import only_sky
+from vehsim.cameras.view import only_sky, out_of_view
 from vehsim.errors import InputError
 from vehsim.lie.quaternions import continuous, from_vectors, matrices, quaternions
 from vehsim.runtime.cache import Stamp, kept_arrays, stamp
@@ -66,7 +66,8 @@ would be taken from farther away."""
 SPREAD = 16
 """Points at which a target may be hidden."""
 UNSEEN = 0.25
-"""How long obstacles may hide most of a target without a warning, s: a post passes through the picture."""
+"""How long obstacles may hide most of a target, or it may be outside the picture, without a warning, s: a post passes
+through the picture."""
 STILL = 0.05
 """Largest movement of a parked vehicle, m."""
 OUTLINE = 2000
@@ -117,6 +118,7 @@ def solve_camera(
             distance *= factor
             if too_near < too_far and not too_near <= distance <= too_far:  # it would go to and fro between the two
                 distance = np.sqrt(too_near * too_far)
+    view = positions, rotations, np.array(aperture) / (2 * rig.lens_mm)
     if (buried := in_rock(positions, around)).any():
         warnings.warn(
             f"camera {rig.name!r} is inside the rock at frame {every[buried.argmax()]:g}; give it another place, "
@@ -135,6 +137,14 @@ def solve_camera(
             "distance, height or azimuth",
             stacklevel=2,
         )
+    elif (outside := _outside(rig, move, view, subject, clips, every)).sum() > UNSEEN * subject.fps:
+        first, last = every[outside][[0, -1]]
+        remedy = "put it farther away" if rig.look_at is None else "leave out look_at, so that it pans"
+        warnings.warn(
+            f"camera {rig.name!r}: its target is outside the picture in {outside.sum()} of {len(every)} frames, first "
+            f"in {first:g}, last in {last:g}; {remedy}, or give it a shorter lens_mm or another place",
+            stacklevel=2,
+        )
     elif (unseen := _unseen(rig, move, positions, subject, around)).sum() > UNSEEN * subject.fps:
         warnings.warn(
             f"camera {rig.name!r}: obstacles hide most of its target in {unseen.sum()} of {len(every)} frames, first "
@@ -145,8 +155,7 @@ def solve_camera(
         moving = (_subject(clip, every) for clip in (*clips.values(), *(m.clip for m in getattr(world, "moving", ()))))
         seen = ((s.matrices, s.outline) for s in moving)
         standing = ((np.eye(4)[None], hull) for obstacle in around.standing for hull in obstacle.hulls)
-        half = np.array(aperture) / (2 * rig.lens_mm)
-        if (sky := only_sky(positions, rotations, half, around, chain(standing, seen))).any():
+        if (sky := only_sky(*view, around, chain(standing, seen))).any():
             warnings.warn(
                 f"camera {rig.name!r} shows only the sky in {sky.sum()} of {len(every)} frames, first in "
                 f"{every[sky.argmax()]:g}; tilt it down with framing = [0, 0.5], or give it a shorter lens_mm or "
@@ -221,6 +230,23 @@ def _placed(rig: CameraRig, move: Move, subject: Subject, distance: float, aroun
         if cost < least:
             best, least = (positions, aims), cost
     return best
+
+
+def _outside(
+    rig: CameraRig,
+    move: Move,
+    view: tuple[Array, Array, Array],
+    subject: Subject,
+    clips: Mapping[str, Clip],
+    frames: Array,
+) -> NDArray[np.bool_]:
+    """On which ``frames`` (n,) nothing of the target is in the ``view``, see `out_of_view`, of a camera that does not
+    ride on it. One that looks at a place, and names no target, may show any vehicle."""
+    if move.fill is None:
+        return np.zeros(len(frames), bool)
+    any_will_do = rig.target is None and rig.look_at is not None
+    shown = (_subject(clip, frames) for clip in clips.values()) if any_will_do else (subject,)
+    return np.all([out_of_view(*view, each.matrices, each.outline) for each in shown], axis=0)
 
 
 def _unseen(rig: CameraRig, move: Move, positions: Array, subject: Subject, around: Surroundings) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""What cameras show: the frames whose picture has nothing but the sky in it."""
+"""What cameras show: whether a hull is in the picture, and the frames whose picture has nothing but the sky in it."""
 
 from __future__ import annotations
 
@@ -35,9 +35,7 @@ def only_sky(
         k = np.flatnonzero(sky)
         if not len(k):
             return sky
-        T_hw = np.linalg.inv(T_wh[k if len(T_wh) > 1 else [0]])
-        eyes = (T_hw[:, :3, :3] @ positions[k, :, None] + T_hw[:, :3, 3:])[..., 0]
-        sky[k] = _apart(eyes, T_hw[:, :3, :3] @ rotations[k], half, corners)
+        sky[k] = out_of_view(positions[k], rotations[k], half, T_wh[k if len(T_wh) > 1 else [0]], corners)
     k = np.flatnonzero(sky)
     if len(k) and world.terrain is not None:
         far = np.geomspace(0.5, np.linalg.norm(world.terrain.upper - world.terrain.lower), STEPS)
@@ -45,6 +43,16 @@ def only_sky(
         ground = in_rock(places, world) | (world.height(places[:, :2]) > places[:, 2])
         sky[k] = ~ground.reshape(len(k), -1).any(axis=1)
     return sky
+
+
+def out_of_view(positions: Array, rotations: Array, half: Array, T_wh: Array, corners: Array) -> NDArray[np.bool_]:
+    """Whether nothing of a hull is in the picture, (n,): ``corners`` (k, 3) m at T_wh (n, 4, 4), or (1, 4, 4).
+
+    ``positions`` (n, 3) m; ``rotations`` and ``half`` as in `only_sky`.
+    """
+    T_hw = np.linalg.inv(T_wh)
+    eyes = (T_hw[:, :3, :3] @ positions[:, :, None] + T_hw[:, :3, 3:])[..., 0]
+    return _apart(eyes, T_hw[:, :3, :3] @ rotations, half, corners)
 
 
 def _apart(eyes: Array, rotations: Array, half: Array, corners: Array) -> NDArray[np.bool_]:
