@@ -1,5 +1,7 @@
 """Water for animators: wakes compared with Kelvin's, the mesh with the water, size, foam, and the preview."""
 
+import re
+import warnings
 from dataclasses import replace
 from fractions import Fraction
 from types import SimpleNamespace
@@ -21,6 +23,7 @@ from vehsim.exporters.usd.scenery import distant_waves, wake, water_grid
 from vehsim.exporters.usd.scenery import water as authored
 from vehsim.exporters.usd.scenery.wake import Floating, Foam, Wake
 from vehsim.exporters.usd.scenery.water_material import PERIOD, TILE
+from vehsim.exporters.usd.scenery.waterline import warn_of_coarse
 from vehsim.exporters.usd.stage import StageReader
 from vehsim.exporters.web.scene import _stirred
 from vehsim.world.water.sea import sea_state, together
@@ -156,6 +159,29 @@ def test_a_vehicle_in_the_air_leaves_no_wake():
     assert (authored.floating(take, frames)["boat"].wet == 0).all()
     for points, _, foam, lowered, drops in authored.surfaces(take, grid, frames[[0, 20, 48]]):
         assert np.abs(points[:, 2]).max() < 1e-9 and foam.max() == lowered.max() == len(drops.widths) == 0
+
+
+def warned(metres, shown=1.0):
+    """What is said of a boat that goes straight for ``metres``, of which ``shown`` are in the take."""
+    clip = straight(20.0, metres / 20.0, (0.0, 0.0, 0.0))
+    frames = clip.frames[: max(2, int(shown * len(clip)))].astype(float)
+    take = Take("sea", {"boat": clip}, World(water=0.0), (), Fraction(FPS), (1001, int(frames[-1])))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_of_coarse(authored.floating(take, frames), water_grid.lay_grid(take), frames)
+    return [str(one.message) for one in caught]
+
+
+def test_water_that_is_too_coarse_for_a_hull_is_named_with_what_to_do():
+    """The remedy helps: no part of the way is too long."""
+    (says,) = warned(1400.0)
+    assert re.match(
+        r"boat: pictures may show water inside its hull, because .* every [\d.]+ m there and the hull", says
+    )
+    longest = int(says.split("about ")[1].split(" m")[0])
+    assert 100 < longest < 1400
+    assert not warned(0.97 * longest) and warned(1.2 * longest)
+    assert not warned(1400.0, shown=0.97 * longest / 1400.0)
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.35])

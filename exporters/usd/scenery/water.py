@@ -140,7 +140,7 @@ def surfaces(take: Take, grid: Grid, frames: Array) -> Iterator[Shown]:
     water, fps, xy = take.world.water, float(take.fps), grid.xy
     assert water is not None
     afloat = floating(take, frames)
-    warn_of_coarse(afloat, grid)
+    warn_of_coarse(afloat, grid, frames)
     stirring = afloat if take.usd.moving_water else {}
     wake = Wake(stirring, frames, fps) if stirring else None
     trails = Foam(stirring, xy, frames, fps)

@@ -218,11 +218,29 @@ def lay_grid(take: Take) -> Grid:
     """
     paths = [_on_take(clip, take) for clip in take.clips.values()] or [np.zeros((1, 2))]
     eyes = [camera.positions[:: max(1, len(camera.positions) // 50), :2] for camera in take.cameras]
-    count = min(MOST_POINTS, int(BYTES_A_SECOND / BYTES_A_POINT / float(take.fps)))
+    count = most_points(float(take.fps))
     cell = FINEST
     for path in paths if len(paths) > 1 else []:
         cell = max(cell, _finest(*_box([path], eyes), FINEST, count)[0])
     return _finest(*_box(paths, eyes), cell, count * len(paths))[1]
+
+
+def most_points(fps: float) -> int:
+    """The largest number of points for one vehicle, at ``fps`` frames per second."""
+    return min(MOST_POINTS, int(BYTES_A_SECOND / BYTES_A_POINT / fps))
+
+
+def longest_way(cell: float, fps: float) -> float:
+    """The length m of the longest straight way of one vehicle along which cells are at most ``cell`` m; 0 if none."""
+    axes, low, high = np.eye(2), 0.0, HORIZON
+    if cell < FINEST:
+        return 0.0
+    while high - low > 1.0:
+        middle = (low + high) / 2
+        sides = np.array([middle / 2 + FINE_BORDER, FINE_BORDER])
+        fits = _laid(sides, cell, np.zeros(2), axes).stored.sum() <= most_points(fps)
+        low, high = (middle, high) if fits else (low, middle)
+    return low
 
 
 def covers(grid: Grid, take: Take) -> bool:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vehsim.exporters.usd.scenery.wake import Floating, clip_matrices
+from vehsim.exporters.usd.scenery.wake import Floating, clip_matrices, clip_places
+from vehsim.exporters.usd.scenery.water_grid import FINEST, longest_way
 
 if TYPE_CHECKING:
     from vehsim.exporters.usd.scenery.water_grid import Grid
@@ -70,17 +71,25 @@ def waterline(afloat: Mapping[str, Floating], points: Array, grid: Grid, frame: 
     return Waterline(moved, pair[order[first], 1], share[order[first]], lowered)
 
 
-def warn_of_coarse(afloat: Mapping[str, Floating], grid: Grid) -> None:
-    """Warn of hulls that are too small for the cells of the surface along their ways."""
+def warn_of_coarse(afloat: Mapping[str, Floating], grid: Grid, frames: Array) -> None:
+    """Warn of hulls that are too small for the cells of the surface where they are on ``frames`` (n,)."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(grid.xy)
     for name, vehicle in afloat.items():
-        cell = float(grid.cells[tree.query(vehicle.clip.positions[:, :2])[1]].max())
-        if cell > COARSE * vehicle.beam:
+        cell = float(grid.cells[tree.query(clip_places(vehicle.clip, frames)[0][:, :2])[1]].max())
+        enough = COARSE * vehicle.beam
+        if cell > enough:
+            way = longest_way(enough, float(vehicle.clip.fps))
+            remedy = (
+                "divide the shot (shot.start_frame, shot.end_frame) so that boats and near cameras stay within about "
+                f"{way:.0f} m in each part"
+                if way
+                else f"give it a deck, as the finest cells have {FINEST:g} m"
+            )
             warnings.warn(
-                f"{name}: the water has cells of {cell:.1f} m along its long way, so water may show inside its hull; "
-                "a shorter shot has finer water",
+                f"{name}: pictures may show water inside its hull, because the mesh of the water has points only every "
+                f"{cell:.1f} m there and the hull is {vehicle.beam:.1f} m wide; {remedy}",
                 stacklevel=3,
             )
 
