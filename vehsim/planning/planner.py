@@ -320,7 +320,7 @@ def _solve(request: Request, progress: Progress | None, guess: Any) -> Plan:
         why = NONE_FOUND
     elif looks := fastest_look(made.clip, request):
         why = looks + " as {}; look from farther away, or give later frames"
-    where = _most_hurried(made._iterate, request) if made.success and why == TOO_SOON else ""
+    where = _most_hurried(beyond, request) if why == TOO_SOON else ""
     return _remarked(made, f"; driven as {found}: {why.format(request.traits.name, where)}")
 
 
@@ -333,16 +333,18 @@ def _why_harder(request: Request) -> str:
     return NONE_FOUND if all(mark.at_rest for mark in own) else TOO_NEAR
 
 
-def _most_hurried(iterate: Iterate, request: Request) -> str:
-    """The mark on whose way a motion exceeds the request's character most, in words; empty if there is one way only."""
-    rows = [row for row in _soft_rows(iterate, request) if row.value and row.upper and row.frame is not None]
-    if not rows or len({mark.place for mark in request.marks}) <= 2:
+def _most_hurried(beyond: Sequence[Iterate], request: Request) -> str:
+    """The mark on whose way motions ``beyond`` the request's character exceed it most, in words; empty if there is one
+    way only."""
+    if not beyond or len({mark.place for mark in request.marks}) <= 2:
         return ""
-    worst = max(rows, key=lambda row: abs(row.value or 0.0) / (row.upper or 1.0))
-    later = [
-        mark.name for mark, frame in zip(request.marks, iterate.mark_frames(), strict=True) if frame >= worst.frame
+    iterate = min(beyond, key=lambda each: _strain(each, request))
+    ways = [  # without the frames of the marks, which belong to two ways
+        (_largest_ratio(_soft_rows(iterate, request, (first + 1, last - 1))), mark.name)
+        for (first, last), mark in zip(pairwise(iterate.mark_frames()), request.marks[1:], strict=True)
+        if last - first > 2
     ]
-    return f", most of all {later[0]}" if later else ""
+    return f", most of all {max(ways)[1]}" if ways else ""
 
 
 def _beyond_too(beyond: Sequence[Iterate], traits: Traits) -> bool:
@@ -487,9 +489,11 @@ def _strain(iterate: Iterate, request: Request) -> float:
     return known[request]
 
 
-def _soft_rows(iterate: Iterate, request: Request) -> Sequence[Row]:
-    """The measured soft limits of the request's character in a coarse motion."""
+def _soft_rows(iterate: Iterate, request: Request, frames: tuple[float, float] | None = None) -> Sequence[Row]:
+    """The measured soft limits of the request's character in a coarse motion, or between two ``frames`` of it."""
     soft = [ask for ask in asks_of(request, iterate.mark_frames()) if ask.key.startswith(BEYOND)]
+    if frames is not None:
+        soft = [replace(ask, first=frames[0], last=frames[1]) for ask in soft]
     return audit(iterate.track, soft, WorldScene(request.world, request.vehicle))
 
 
