@@ -36,7 +36,7 @@ WHITE, DIRECTED = 0.8, 0.5
 longer than this."""
 WARM = (1.0, 0.93, 0.80)
 """Linear colour of white lamps."""
-BEAM, GLOW = 1.0, 1.2
+BEAM, GLOW = 1.0, 4.0
 """Strength of a beam, and of a glow per emission and area in 1/m^2: our choice, as is the moon that they are seen
 with."""
 WIDTH, DIP, CUT_OFF = 0.45, 0.05, 0.016
@@ -56,7 +56,7 @@ SPOT, HALO, GLARE = 0.045, 0.16, 0.004
 VIEW, PIXELS, CLEAR = (1.2, 0.3), (768, 192), 0.8
 """Half the width and height of the picture from a beam at distance 1, its size in pixels, and its near plane, m: the
 lamp's own lens throws no shadow."""
-DAZZLE = 60.0
+DAZZLE = 18.0
 """Brightness of a halo per strength of a glow."""
 SEEN = 0.4
 """A lamp is seen where nothing is nearer than this in front of it, m."""

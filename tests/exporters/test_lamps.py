@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from tests.shots import driven
 from vehsim.exporters.pictures.lamps import DARK, Lamp, haloed, lamps_of, lit
 from vehsim.exporters.pictures.render import StageRenderer
 from vehsim.exporters.pictures.surfaces import Material
-from vehsim.exporters.usd.scenery.lighting import MOODS, encode_srgb, latlong_directions, write_sky
+from vehsim.exporters.usd.scenery.lighting import MOODS, encode_srgb, latlong_directions, to_srgb, write_sky
 from vehsim.exporters.usd.scenery.shading import light_for
 from vehsim.exporters.usd.stage import Shape, Sky, StageReader, Sun
 from vehsim.shot import Shot
@@ -64,12 +65,12 @@ def test_beams_are_level_on_a_vehicle_that_stands_on_a_slope():
     assert Lamp.of(plates(*PAIR, facing=(0.8, 0.6, 0.0)), y_up).ahead == pytest.approx([1, 0, 0])
 
 
-def lit_ground(folder, nearest):
+def lit_ground(folder, nearest, lamp=None):
     """The brightness of level grey ground, by x from -20 to 40 m, before a wall ``nearest`` m from the lamps."""
     light, _ = night(folder)
     x, y = np.meshgrid(np.arange(-20.0, 40.0, 0.25), np.arange(-3.0, 3.0, 0.25))
     places, picture = np.dstack([x, y, np.zeros_like(x)]), np.full((*x.shape, 3), 40, np.uint8)
-    lamp = Lamp.of(plates(*PAIR), np.eye(3))
+    lamp = lamp or Lamp.of(plates(*PAIR), np.eye(3))
     whole = slice(None), slice(None)
     shown = lit(
         picture, places, [lamp], {"/car": np.eye(4)}, light, lambda _: whole, lambda *_: np.full((192, 768), nearest)
@@ -82,6 +83,24 @@ def test_a_beam_lights_the_ground_ahead_and_stops_at_a_wall(tmp_path):
     assert free[-5.0] == free[-15.0] == 40
     assert free[6.0] > 65 and free[6.0] > free[15.0] > free[25.0] > 40
     assert walled[6.0] == free[6.0] and walled[15.0] == 40
+
+
+def test_a_tail_lamp_throws_a_pool_of_light_on_the_ground(tmp_path):
+    """As large as a car's. It is seen a metre behind the lamp, and gone five metres behind it."""
+    lamp = Lamp.of(plates((-2.0, 0.7, 0.7), (-2.0, -0.7, 0.7), colour=RED, facing=(-1.0, 0, 0)), np.eye(3))
+    shown = lit_ground(tmp_path, np.inf, replace(lamp, glow=6.5 * lamp.glow))
+    assert shown[-3.0] > shown[-4.0] > 40.3
+    assert shown[-7.0] == shown[5.0] == 40
+
+
+def test_a_night_is_dark_but_shows_what_is_seen_from_above(tmp_path):
+    """Dark paint (albedo 0.1) in the light from above."""
+    bright = {}
+    for mood in MOODS:
+        light, _ = night(tmp_path, mood)
+        above = light.ambient + light.sky - light.sun * light.direction[2]
+        bright[mood] = float((to_srgb(np.full(3, 0.1)) * above).mean())
+    assert 0.19 < bright["night"] < 0.25 < min(level for mood, level in bright.items() if mood != "night")
 
 
 def test_lamps_are_lit_at_night_only(tmp_path):

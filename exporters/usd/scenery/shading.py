@@ -33,7 +33,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 STAR, STARLIGHT = 0.003, 1.5
 """Linear light by which a texel of a night's sky is a star, and how much brighter it is as a point than as a texel."""
-DIMMEST = 0.5
+DIMMEST = 0.36
 """Linear light, in the units of USD, below which the exposure does not rise further: a night stays dark."""
 
 
