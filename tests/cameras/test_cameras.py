@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from vehsim import cameras
 from vehsim.cameras import framing
 from vehsim.cameras.camera import CameraRig
+from vehsim.cameras.cuts import shown_of
 from vehsim.cameras.framing import JERK, solve_camera, vehicle_outline
 from vehsim.cameras.path import Levels
 from vehsim.clip.clip import Clip
@@ -691,10 +692,10 @@ def pitched(degrees, height=20.0):
     return replace(level, orientations=turns)
 
 
-def warned(rig, clips, world):
+def warned(rig, clips, world, shown=None):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        solve_camera(rig, clips, world, (1001, 1121), ASPECT)
+        solve_camera(rig, clips, world, (1001, 1121), ASPECT, shown)
     return [str(w.message) for w in caught]
 
 
@@ -716,6 +717,20 @@ def test_a_static_camera_that_does_not_hold_its_target_is_named():
     parked = replace(low, positions=np.tile((x.mean(), 5.0, 0.0), (len(low.times), 1)))
     assert not warned(rig, {"cube": low, "parked": parked}, World("flat")), "it shows a vehicle, and names no target"
     assert warned(replace(rig, target="cube"), {"cube": low, "parked": parked}, World("flat"))
+
+
+def test_frames_that_a_cut_list_does_not_show_are_not_warned_of():
+    """Of three pieces of a film, two are of a camera: the frames before the next cut belong to it."""
+    cuts = ((1001, "away"), (1041, "b"), (1081, "away"))
+    pieces = shown_of("away", cuts, 1121)
+    assert pieces == [(1001, 1040), (1081, 1121)] and shown_of("c", cuts, 1121) == []
+    clip = MOTIONS["straight"]
+    low = replace(clip, positions=clip.positions - (0, 0, 30.0))
+    x = low.resample().positions[:, 0]
+    rig = CameraRig("away", rig="static", position=(x.mean(), -20.0, 2.0), look_at=(x.mean(), -40.0, 2.0))
+    for frames, warns in ((pieces, "in 81 of 81 frames"), ([(1001, 1005)], None), (None, "in 121 of 121 frames")):
+        texts = warned(rig, {"cube": low}, World("flat"), frames)
+        assert not texts if warns is None else warns in texts[0]
 
 
 def test_a_camera_that_shows_only_the_sky_is_named():

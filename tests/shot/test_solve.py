@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
+import warnings
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -288,6 +289,21 @@ def test_a_note_after_the_last_frame_warns(small: dict[str, Any]) -> None:
         Shot.from_dict(small).solve()
     texts = [str(warning.message) for warning in warned]
     assert texts == ["note[1].frame = 1014: after the last frame, 1013, so it is not shown; move it"]
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["in the film", "pictures of its own"])
+def test_a_camera_is_judged_by_what_the_film_shows_of_it(small: dict[str, Any], own: bool) -> None:
+    """It looks away from the car; the film shows its last three frames, too few to notice."""
+    away = {"name": "away", "rig": "static", "position": [0, -9, 3], "look_at": [0, -40, 3]}
+    small["camera"] = [{"name": "chase", "rig": "chase"}, away]
+    small["cut"] = [{"frame": 1001, "camera": "chase"}, {"frame": 1011, "camera": "away"}]
+    if own:
+        small.setdefault("render", {})["cameras"] = ["away"]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Shot.from_dict(small).solve()
+    named = [str(each.message) for each in caught if "'away': its target is outside" in str(each.message)]
+    assert len(named) == own
 
 
 def test_cuts_outside_the_shot_are_not_shown(small: dict[str, Any]) -> None:

@@ -68,6 +68,11 @@ def within(cuts: Sequence[tuple[int, str]], first: int, last: int) -> tuple[tupl
     return tuple(begun[max(0, before - 1) :])
 
 
+def shown_of(name: str, cuts: Sequence[tuple[int, str]], last: int) -> list[tuple[int, int]]:
+    """The frames (first, last) that ``cuts`` show of a camera, in a shot up to frame ``last``."""
+    return [(begin, end - 1) for (begin, used), (end, _) in pairwise([*cuts, (last + 1, "")]) if used == name]
+
+
 def _between(camera: Camera, frames: Array) -> tuple[Array, Array]:
     """Positions and orientations of a camera at any ``frames`` within its own."""
     from scipy.spatial.transform import Rotation, Slerp

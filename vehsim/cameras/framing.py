@@ -8,7 +8,7 @@ horizon. A cut list combines cameras into another one.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain, product
@@ -78,10 +78,17 @@ otherwise be shown small and far away."""
 
 
 def solve_camera(
-    rig: CameraRig, clips: Mapping[str, Clip], world: Any, frames: tuple[int, int], aspect: float = 16 / 9
+    rig: CameraRig,
+    clips: Mapping[str, Clip],
+    world: Any,
+    frames: tuple[int, int],
+    aspect: float = 16 / 9,
+    shown: Sequence[tuple[float, float]] | None = None,
 ) -> Camera:
     """The camera of ``rig`` for whole ``frames`` (first, last); ``aspect`` is width divided by height of the picture.
 
+    ``shown``: the frames (first, last) that a cut list shows of it, by default all; warnings of what it does not show
+    are of these.
     Raises ``InputError`` for an unknown rig or target.
     """
     _check(rig, clips)
@@ -118,6 +125,9 @@ def solve_camera(
             distance *= factor
             if too_near < too_far and not too_near <= distance <= too_far:  # it would go to and fro between the two
                 distance = np.sqrt(too_near * too_far)
+    counts = np.ones(len(every), bool)
+    if shown is not None:
+        counts = np.any([(first <= every) & (every <= last) for first, last in shown], axis=0)
     view = positions, rotations, np.array(aperture) / (2 * rig.lens_mm)
     if (buried := in_rock(positions, around)).any():
         warnings.warn(
@@ -137,17 +147,17 @@ def solve_camera(
             "distance, height or azimuth",
             stacklevel=2,
         )
-    elif (outside := _outside(rig, move, view, subject, clips, every)).sum() > UNSEEN * subject.fps:
-        first, last = every[outside][[0, -1]]
+    elif (outside := counts & _outside(rig, move, view, subject, clips, every)).sum() > UNSEEN * subject.fps:
+        begin, end = every[outside][[0, -1]]
         remedy = "put it farther away" if rig.look_at is None else "leave out look_at, so that it pans"
         warnings.warn(
-            f"camera {rig.name!r}: its target is outside the picture in {outside.sum()} of {len(every)} frames, first "
-            f"in {first:g}, last in {last:g}; {remedy}, or give it a shorter lens_mm or another place",
+            f"camera {rig.name!r}: its target is outside the picture in {outside.sum()} of {counts.sum()} frames, "
+            f"first in {begin:g}, last in {end:g}; {remedy}, or give it a shorter lens_mm or another place",
             stacklevel=2,
         )
-    elif (unseen := _unseen(rig, move, positions, subject, around)).sum() > UNSEEN * subject.fps:
+    elif (unseen := counts & _unseen(rig, move, positions, subject, around)).sum() > UNSEEN * subject.fps:
         warnings.warn(
-            f"camera {rig.name!r}: obstacles hide most of its target in {unseen.sum()} of {len(every)} frames, first "
+            f"camera {rig.name!r}: obstacles hide most of its target in {unseen.sum()} of {counts.sum()} frames, first "
             f"in {every[unseen.argmax()]:g}; give it another place, distance, height or azimuth",
             stacklevel=2,
         )
@@ -155,9 +165,9 @@ def solve_camera(
         moving = (_subject(clip, every) for clip in (*clips.values(), *(m.clip for m in getattr(world, "moving", ()))))
         seen = ((s.matrices, s.outline) for s in moving)
         standing = ((np.eye(4)[None], hull) for obstacle in around.standing for hull in obstacle.hulls)
-        if (sky := only_sky(*view, around, chain(standing, seen))).any():
+        if (sky := counts & only_sky(*view, around, chain(standing, seen))).any():
             warnings.warn(
-                f"camera {rig.name!r} shows only the sky in {sky.sum()} of {len(every)} frames, first in "
+                f"camera {rig.name!r} shows only the sky in {sky.sum()} of {counts.sum()} frames, first in "
                 f"{every[sky.argmax()]:g}; tilt it down with framing = [0, 0.5], or give it a shorter lens_mm or "
                 "another rig",
                 stacklevel=2,

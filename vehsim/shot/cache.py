@@ -113,10 +113,12 @@ def _solved(solve: Callable[[], SolvedMotion]) -> bytes:
     return packed([np.frombuffer(part, np.uint8) for part in parts])
 
 
-def filmed(rigs: Iterable[CameraRig], solve: Callable[[CameraRig], Camera], key: str | None) -> list[Camera]:
-    """The camera of each rig, cached under what else determines it; a ``key`` of None disables the cache. Warnings are
-    repeated."""
-    return [solve(rig) if key is None else _filmed(rig, solve, key) for rig in rigs]
+def filmed(
+    rigs: Iterable[CameraRig], solve: Callable[[CameraRig], Camera], key: str | None, shown: Mapping[str, Any]
+) -> list[Camera]:
+    """The camera of each rig, cached under what else determines it: a ``key``, where None disables the cache, and by
+    name what a film has ``shown`` of it. Warnings are repeated."""
+    return [solve(rig) if key is None else _filmed(rig, solve, f"{key} {shown[rig.name]}") for rig in rigs]
 
 
 def _filmed(rig: CameraRig, solve: Callable[[CameraRig], Camera], key: str) -> Camera:

@@ -730,7 +730,7 @@ class Shot:
     def cameras(self, clips: Mapping[str, Clip], frames: tuple[int, int]) -> tuple[Camera, ...]:
         """The cameras on whole ``frames`` (first, last) for solved ``clips``."""
         from vehsim.cameras.camera import CameraRig
-        from vehsim.cameras.cuts import CUT, cut, within
+        from vehsim.cameras.cuts import CUT, cut, shown_of, within
         from vehsim.cameras.framing import solve_camera
         from vehsim.cameras.rigs import RIGS
         from vehsim.shot.cache import filmed, motion_key
@@ -741,10 +741,14 @@ class Shot:
         if not RIGS.has_additions and (made_of := motion_key(self.file, self.motion_files(), self.world.content_hash)):
             moves = [sha256(clip.to_bytes()).hexdigest() for clip in clips.values()]
             key = repr((made_of, moves, frames, aspect))
-        cameras = filmed(rigs, lambda rig: solve_camera(rig, clips, self.world, frames, aspect), key)
-        if self.cuts:
-            shown = within(self.cuts, *frames)
-            cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, shown))
+        film = within(self.cuts, *frames) if self.cuts else ()
+        shown = {rig.name: shown_of(rig.name, film, frames[1]) or None for rig in rigs}
+        shown |= dict.fromkeys(self.file.render.cameras or ())  # pictures of its own show all of it
+        cameras = filmed(
+            rigs, lambda rig: solve_camera(rig, clips, self.world, frames, aspect, shown[rig.name]), key, shown
+        )
+        if film:
+            cameras.append(cut(CUT, {camera.name: camera for camera in cameras}, film))
         return tuple(cameras)
 
 
