@@ -423,16 +423,24 @@ def test_the_time_to_a_given_frame_is_used_evenly() -> None:
     assert np.abs(np.gradient(heights.positions[:, 2], heights.times)).max() < 3.5
 
 
-@pytest.mark.parametrize(("frames", "hurried"), [((1085, 1285), "mark[1]"), ((1200, 1306), "mark[2]")])
-def test_the_mark_that_leaves_too_little_time_is_named(frames: tuple[int, int], hurried: str) -> None:
-    marks = [
-        Mark(1001, position=(0, 0, 0), heading=0, velocity=STILL),
-        Mark(frames[0], position=(15, 4, 0), velocity=STILL),
-        Mark(frames[1], position=(40, 0, 0), velocity=STILL),
-    ]
+@pytest.mark.parametrize(
+    ("places", "hurried"),
+    [
+        ({1085: (15, 4, 0), 1285: (40, 0, 0)}, ", most of all mark[1]"),
+        ({1200: (15, 4, 0), 1306: (40, 0, 0)}, ", most of all mark[2]"),
+        ({"free": (15, 4, 0), 1110: (30, 0, 0), 1400: (60, 0, 0)}, ", most of all mark[2]"),
+        ({1110: (30, 0, 0)}, ""),
+    ],
+    ids=["first", "last", "after a free one", "only one"],
+)
+def test_the_mark_that_leaves_too_little_time_is_named(places: dict[Any, Any], hurried: str) -> None:
+    """Only marks with a given frame can be moved to a later one."""
+    marks = [Mark(1001, position=(0, 0, 0), heading=0, velocity=STILL)]
+    for frame, place in places.items():
+        marks.append(Mark(frame, position=place, **({} if frame == "free" else {"velocity": STILL})))
     with pytest.warns(UserWarning, match="driven as"):
         message = vehsim.plan(vehsim.load_vehicle("car"), None, marks).message
-    assert f"too little time for normal, most of all {hurried}; give later frames" in message
+    assert f"too little time for normal{hurried}; give later frames" in message
 
 
 @pytest.mark.parametrize("character", ["brisk", "stunt", "permitted"])

@@ -334,17 +334,19 @@ def _why_harder(request: Request) -> str:
 
 
 def _most_hurried(beyond: Sequence[Iterate], request: Request) -> str:
-    """The mark on whose way motions ``beyond`` the request's character exceed it most, in words; empty if there is one
-    way only."""
-    if not beyond or len({mark.place for mark in request.marks}) <= 2:
+    """The mark with a given frame on whose way motions ``beyond`` the request's character exceed it most, in words;
+    empty if there is one way only."""
+    if not beyond:
         return ""
     iterate = min(beyond, key=lambda each: _strain(each, request))
+    marks, frames = request.marks, iterate.mark_frames()
+    given = [k for k, mark in enumerate(marks) if k == 0 or mark.frame != "free"]
     ways = [  # without the frames of the marks, which belong to two ways
-        (_largest_ratio(_soft_rows(iterate, request, (first + 1, last - 1))), mark.name)
-        for (first, last), mark in zip(pairwise(iterate.mark_frames()), request.marks[1:], strict=True)
-        if last - first > 2
+        (_largest_ratio(_soft_rows(iterate, request, (frames[i] + 1, frames[k] - 1))), marks[k].name)
+        for i, k in pairwise(given)
+        if frames[k] - frames[i] > 2 and not marks[i].hold
     ]
-    return f", most of all {max(ways)[1]}" if ways else ""
+    return f", most of all {max(ways)[1]}" if len(ways) > 1 else ""
 
 
 def _beyond_too(beyond: Sequence[Iterate], traits: Traits) -> bool:
