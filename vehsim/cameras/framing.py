@@ -87,8 +87,9 @@ def solve_camera(
 ) -> Camera:
     """The camera of ``rig`` for whole ``frames`` (first, last); ``aspect`` is width divided by height of the picture.
 
-    ``shown``: the frames (first, last) that a cut list shows of it, by default all; warnings of what it does not show
-    are of these.
+    ``shown``: the frames (first, last) that a cut list shows of it, by default all: warnings of a target that is hidden
+    or outside the picture, and of nothing but sky, count only these.
+
     Raises ``InputError`` for an unknown rig or target.
     """
     _check(rig, clips)

@@ -55,9 +55,8 @@ def gravel() -> Array:
 def snow() -> Array:
     """Linear colours (n, n, 3) of trodden snow: low drifts that the wind has drawn out, bluer in their hollows."""
     size = (TEXELS, TEXELS)
-    drifts = 0.6 * noise(size, coarse=4, octaves=5, seed=21) + 0.4 * noise(
-        (TEXELS, TEXELS), coarse=24, octaves=5, seed=22
-    )
+    wide, fine = (noise(size, coarse=coarse, octaves=5, seed=seed) for coarse, seed in ((4, 21), (24, 22)))
+    drifts = 0.6 * wide + 0.4 * fine
     light = 0.74 * (1 + 0.13 * drifts + 0.012 * _specks(23, STONES))
     hollow = np.clip(0.5 - drifts, 0, 1)[..., None]
     return np.asarray(light[..., None] * (1 + hollow * np.array((-0.04, -0.01, 0.02))))

@@ -68,9 +68,10 @@ def landing_element(transcription: Transcription, upright: Array) -> Element:
     above = landing_clearance(distance, clearance, 0.0, ca.tanh)
     below = feet(transcription.vehicle)
     flat = below @ SO3.matrix(upright).T
-    arms = view.rotation @ ca.DM(below.T)
+    offsets = ca.DM(below.T)
+    arms = view.rotation @ offsets
     rise = (arms[2, :] - ca.DM(flat[:, 2]).T + view.position[2] - place[2]).T
-    slide = (ca.repmat(view.velocity, 1, len(below)) + view.rotation @ ca.skew(view.omega) @ ca.DM(below.T))[:2, :]
+    slide = (ca.repmat(view.velocity, 1, len(below)) + view.rotation @ ca.skew(view.omega) @ offsets)[:2, :]
     down = view.velocity[2] + GENTLE + SINK * distance
     g = ca.vertcat(counts * (rise - above) + (1 - counts) * FADE, down)
     near = ca.exp(-((distance / NEAR) ** 2))

@@ -59,20 +59,15 @@ class Centred(Block):
 
         def make() -> Element:
             v = transcription.symbols("x", "c0")
-            view, position, gate = (
-                knot_view(transcription, v["x"], v["c0"]),
-                ca.SX.sym("position", 3),
-                ca.SX.sym("gate", 11),
-            )
+            place = {key: ca.SX.sym(key, PARAMETERS[key]) for key in ("position", "gate")}
             shown = 3 if transcription.vehicle.group.dim == 6 else 2
-            f = EDGE * self.price * ca.sumsqr(ca.vertcat(*_in_opening(gate, (view.position - position)[:shown])))
-            return Element("centred", ca.vertcat(*v.values()), {"position": position, "gate": gate}, f=f)
+            off = knot_view(transcription, v["x"], v["c0"]).position - place["position"]
+            f = EDGE * self.price * ca.sumsqr(ca.vertcat(*_in_opening(place["gate"], off[:shown])))
+            return Element("centred", ca.vertcat(*v.values()), place, f=f)
 
-        knot = layout.mark_knots[self.number]
-        parameters = {
-            key: problem.parameter(f"mark[{self.number}].{key}", PARAMETERS[key]) for key in ("position", "gate")
-        }
-        element = transcription.kept(("centred", self.price), make)
+        knot, element = layout.mark_knots[self.number], transcription.kept(("centred", self.price), make)
+        # the values are those of the mark's `MarkConstraint`
+        parameters = {key: problem.parameter(f"mark[{self.number}].{key}", size) for key, size in element.sizes.items()}
         problem.add(element, np.vstack([layout.knot(knot), layout.control(knot)]), parameters)
 
 

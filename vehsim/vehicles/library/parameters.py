@@ -102,13 +102,14 @@ def replaced(data: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str
 def _sourced(character: Mapping[str, Any]) -> dict[str, Any]:
     """The numbers of ``character`` with a source: by default, that they are parameters."""
     source = {"source": "given as a parameter"}
-    tables = {
-        key: {name: {**source, **row} for name, row in table.items()}
-        for key, table in character.items()
-        if key not in ("response", "stunt_controls")
-    }
-    response = {"response": {**source, **character["response"]}} if "response" in character else {}
-    return {**character, **tables, **response}
+    found = dict(character)
+    for key in character.keys() - {"stunt_controls"}:
+        table = character[key]
+        if key == "response":
+            found[key] = {**source, **table}
+        else:
+            found[key] = {name: {**source, **row} for name, row in table.items()}
+    return found
 
 
 def in_unit(data: Mapping[str, Any], kind: str, name: str) -> str:
