@@ -428,7 +428,7 @@ def test_the_time_to_a_given_frame_is_used_evenly() -> None:
     [
         ({1085: (15, 4, 0), 1285: (40, 0, 0)}, ", most of all mark[1]"),
         ({1200: (15, 4, 0), 1306: (40, 0, 0)}, ", most of all mark[2]"),
-        ({"free": (15, 4, 0), 1110: (30, 0, 0), 1400: (60, 0, 0)}, ", most of all mark[2]"),
+        ({"free": (24, 4, 0), 1110: (30, 0, 0), 1400: (60, 0, 0)}, ", most of all mark[2]"),
         ({1110: (30, 0, 0)}, ""),
     ],
     ids=["first", "last", "after a free one", "only one"],
